@@ -1,0 +1,55 @@
+"""gnnjax: learned, batched motion planning for robot arms in JAX and MuJoCo."""
+
+from gnnjax.certify import certify_edges, certify_path
+from gnnjax.collision import Checker, EdgeChecks, boxes_clear, make_checker
+from gnnjax.errors import InputError
+from gnnjax.kinematics import forward_kinematics
+from gnnjax.labels import Labels, cost_to_go, edge_validity, label_roadmap
+from gnnjax.planner import Plan, Planner, load_planner
+from gnnjax.problem import Problem, ProblemSet, load_problems, sample_problem, save_problems
+from gnnjax.roadmap import Roadmap, connect, graphs_tuple, radius_for_degree
+from gnnjax.robot import Robot, load_robot
+from gnnjax.sampling import Samples, sample_free
+from gnnjax.scene import Scene, make_scene, pad_scene, sample_scene, scene_from_json, scene_to_json
+from gnnjax.search import Scorer, SearchResult, greedy_search, lazy_search
+
+__all__ = [
+    "Checker",
+    "EdgeChecks",
+    "InputError",
+    "Labels",
+    "Plan",
+    "Planner",
+    "Problem",
+    "ProblemSet",
+    "Roadmap",
+    "Robot",
+    "Samples",
+    "Scene",
+    "Scorer",
+    "SearchResult",
+    "boxes_clear",
+    "certify_edges",
+    "certify_path",
+    "connect",
+    "cost_to_go",
+    "edge_validity",
+    "forward_kinematics",
+    "graphs_tuple",
+    "greedy_search",
+    "label_roadmap",
+    "lazy_search",
+    "load_planner",
+    "load_problems",
+    "load_robot",
+    "make_checker",
+    "make_scene",
+    "pad_scene",
+    "radius_for_degree",
+    "sample_free",
+    "sample_problem",
+    "sample_scene",
+    "save_problems",
+    "scene_from_json",
+    "scene_to_json",
+]

@@ -1,0 +1,477 @@
+"""The guidance network: which neighbor of a node should the path go to next?
+
+Symbols, as in the paper: `h_i = [x_i, x_goal]` the data of a node, `x` its code after
+`ReLU(GCN(ReLU(GAT(h))))`, `y` the code of the obstacles, `o` the environment code of a node, `P`
+the codes of the path walked so far. C is `channels`, the paper's d.
+
+Everything that does not depend on the path is computed once a query by `encode`, projections
+included, so a step of the search costs one GRU cell (`extend_path`), one row of attention and K
+rows of the decoder (`guidance_values`). All methods take one problem; under `vmap`, split the
+model first:
+
+    graphdef, params = nnx.split(model)
+    encodings = jax.vmap(lambda r, s: nnx.merge(graphdef, params).encode(r, s))(roadmaps, scenes)
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import jraph
+from flax import nnx
+from jaxtyping import Array, Float, Int
+
+from gnnjax.errors import InputError
+from gnnjax.roadmap import Roadmap, graphs_tuple
+from gnnjax.scene import Scene
+
+GOAL = 1  # node index of the goal in every roadmap
+Graph = Any  # jraph.GraphsTuple, whose fields are typed too widely for a type checker to be of use
+
+
+class Encoding(NamedTuple):
+    """What the network knows of a query before the first step. Row i belongs to node i."""
+
+    code: Float[Array, "*batch N C"]  # x, what the GRU reads
+    environment: Float[Array, "*batch N C"]  # o
+    key: Float[Array, "*batch N C"]  # K_e
+    value: Float[Array, "*batch N C"]  # V_e
+    self_score: Float[Array, "*batch N"]  # Q_e,i . K_e,i, before scaling
+    decoder_near: Float[Array, "*batch N C"]  # share of node i in its decoder rows
+    decoder_far: Float[Array, "*batch N C"]  # share of node j in the decoder rows that end there
+    validity: Float[Array, "*batch N C"]  # share of either end in the validity of an edge
+    goal_distance: Float[Array, "*batch N"]  # Euclidean, in units of pi
+
+
+class PathState(NamedTuple):
+    """The path walked so far: a GRU state, and a memory of its last L nodes."""
+
+    hidden: Float[Array, "*batch C"]
+    queries: Float[Array, "*batch L C"]  # Q_p, a ring once more than L nodes are walked
+    values: Float[Array, "*batch L C"]  # V_p
+    length: Int[Array, "*batch"]  # nodes walked
+
+
+class EdgeOutputs(NamedTuple):
+    """Outputs for every slot of a roadmap. Zero on padding; callers mask."""
+
+    values: Float[Array, "*batch N K"]  # guidance values, larger is better
+    validity: Float[Array, "*batch N K"]  # logit that the edge is collision-free; symmetric
+
+
+def occupancy_grid(
+    scene: Scene,
+    lower: Sequence[float],
+    upper: Sequence[float],
+    grid_size: int,
+) -> Float[Array, "m m m"]:
+    """Draws the boxes into a grid over the workspace: 1 where a voxel's center lies in a box.
+
+    Boxes thinner than a voxel are drawn one voxel thick; a pillar or plate between two rows of
+    centers would vanish otherwise.
+
+    Args:
+        scene: boxes, in the frame of the robot's base.
+        lower: corner of the workspace [m].
+        upper: opposite corner [m].
+        grid_size: voxels along each axis, the paper's m.
+    """
+    low, high = jnp.asarray(lower), jnp.asarray(upper)
+    voxel = (high - low) / grid_size
+    axes = [low[i] + voxel[i] * (jnp.arange(grid_size) + 0.5) for i in range(3)]
+    centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    offset = centers - scene.centers  # [m^3 M 3]
+    # Rotation by the conjugate quaternion takes the offset into the frame of the box.
+    w, v = scene.quats[:, :1], -scene.quats[:, 1:]
+    t = 2.0 * jnp.cross(v, offset)
+    local = offset + w * t + jnp.cross(v, t)
+    half = jnp.maximum(scene.half_extents, 0.5 * jnp.max(voxel))
+    inside = jnp.all(jnp.abs(local) <= half, axis=-1)
+    occupied = jnp.any(inside & scene.mask, axis=-1)
+    return occupied.astype(jnp.float32).reshape(grid_size, grid_size, grid_size)
+
+
+class HalvingConv(nnx.Module):
+    """A 3 x 3 x 3 convolution of stride 2 over a cube, zero padded by one voxel on each side.
+
+    Written as a product with 27 shifted copies of the grid: the gradient of XLA's own 3D
+    convolution is tens of times slower on a CPU.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, *, rngs: nnx.Rngs):
+        self.linear = nnx.Linear(27 * in_channels, out_channels, rngs=rngs)
+
+    def __call__(self, grid: Float[Array, "m m m A"]) -> Float[Array, "n n n B"]:
+        span = 2 * ((grid.shape[0] + 1) // 2) - 1
+        grid = jnp.pad(grid, ((1, 1), (1, 1), (1, 1), (0, 0)))
+        for axis in range(3):  # one axis after the other: 9 slices instead of 27
+            shifts = [
+                jax.lax.slice_in_dim(grid, start, start + span, stride=2, axis=axis)
+                for start in range(3)
+            ]
+            grid = jnp.concatenate(shifts, axis=-1)
+        return self.linear(grid)
+
+
+class GuidanceNetwork(nnx.Module):
+    """The paper's network, and the extensions that make it the better default.
+
+    With both flags off this is the paper's network. Where the paper leaves a choice open: the
+    environment code is the mean over a node's edges, the GRU reads the node codes `x`, and the far
+    end `x_j` of an edge enters the decoder as attended with an empty path, which is computed once
+    a query instead of K times a step.
+
+    Args:
+        num_dof: joints the network is made for. Robots with fewer count as having fixed extra
+            joints at zero, as the paper treats its 6-joint arm.
+        channels: size C of every code, a multiple of 4.
+        grid_size: voxels along each axis of the occupancy grid.
+        max_path: nodes of the path that attention can look back on; the GRU state has no limit.
+        workspace_lower: corner of the occupancy grid [m], in the frame of the robot's base.
+        workspace_upper: opposite corner [m].
+        geometric_features: gives encoder and decoder the node data next to its code (two rounds of
+            averaging over neighbors blur it), and the decoder the length of an edge, the distance
+            of its ends to the goal, and the progress made per length. The untrained network then
+            ranks neighbors by their distance to the goal.
+        validity_head: adds the logit that an edge is collision-free.
+        rngs: source of the initial weights.
+    """
+
+    def __init__(
+        self,
+        num_dof: int = 7,
+        channels: int = 32,
+        grid_size: int = 16,
+        max_path: int = 64,
+        workspace_lower: Sequence[float] = (-1.2, -1.2, -0.4),
+        workspace_upper: Sequence[float] = (1.2, 1.2, 1.6),
+        geometric_features: bool = True,
+        validity_head: bool = True,
+        *,
+        rngs: nnx.Rngs,
+    ):
+        self.num_dof = num_dof
+        self.channels = channels
+        self.grid_size = grid_size
+        self.max_path = max_path
+        self.workspace_lower = tuple(workspace_lower)
+        self.workspace_upper = tuple(workspace_upper)
+        self.geometric_features = geometric_features
+        self.validity_head = validity_head
+
+        c, features = channels, 2 * num_dof
+        pair_features = c + features if geometric_features else c
+
+        def linear(inputs: int, outputs: int = c, bias: bool = False) -> nnx.Linear:
+            return nnx.Linear(inputs, outputs, use_bias=bias, rngs=rngs)
+
+        # Node embedding. `a` of the GAT acts on [W h_i || W h_j].
+        self.gat_weight = linear(features)
+        self.gat_attention = linear(2 * c, 1)
+        self.gcn_weight = linear(c, bias=True)
+
+        # Obstacles: m^3 occupancy to C.
+        self.convs = nnx.List(
+            [
+                HalvingConv(1, c // 4, rngs=rngs),
+                HalvingConv(c // 4, c // 2, rngs=rngs),
+                HalvingConv(c // 2, c, rngs=rngs),
+            ]
+        )
+        self.grid_linear = linear(c * (-(-grid_size // 8)) ** 3, bias=True)
+
+        # Pair MLPs. The first layer of an MLP on [a, b, c] is a sum of three linear maps, which
+        # need to be computed once a node, not once an edge.
+        self.pair_near = linear(pair_features, bias=True)
+        self.pair_far = linear(pair_features)
+        self.pair_obstacles = linear(c)
+        self.pair_norm = nnx.LayerNorm(c, rngs=rngs)
+        self.pair_out = linear(c, bias=True)
+
+        # Path, and Attention*.
+        self.gru = nnx.GRUCell(c, c, rngs=rngs)
+        self.query_environment = linear(c)
+        self.key_environment = linear(c)
+        self.value_environment = linear(c)
+        self.query_path = linear(c)
+        self.value_path = linear(c)
+        self.attention_norm = nnx.LayerNorm(c, rngs=rngs)
+
+        # Decoder h_x, and the MLP to the guidance value.
+        self.decoder_node = linear(c, bias=True)
+        self.decoder_difference = linear(c)
+        self.decoder_environment = linear(c)
+        self.decoder_out = linear(c, bias=True)
+        self.value_hidden = linear(c, bias=True)
+        self.value_out = linear(c, 1, bias=True)
+        if geometric_features:
+            self.decoder_near_data = linear(features)
+            self.decoder_far_data = linear(features)
+            self.decoder_geometry = linear(4)
+            self.value_geometry = linear(4, 1)
+            # Starts as the distance of the far end to the goal in rad, which is a fair guess.
+            self.value_out.kernel[...] = jnp.zeros((c, 1))
+            self.value_geometry.kernel[...] = jnp.array([[0.0], [0.0], [-jnp.pi], [0.0]])
+        if validity_head:
+            self.validity_node = linear(pair_features + c, bias=True)
+            self.validity_length = linear(1, c // 2)
+            self.validity_hidden = linear(c, bias=True)
+            self.validity_out = linear(c, 1, bias=True)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The constructor's arguments: `GuidanceNetwork(**config, rngs=...)` has equal shapes."""
+        return {
+            "num_dof": self.num_dof,
+            "channels": self.channels,
+            "grid_size": self.grid_size,
+            "max_path": self.max_path,
+            "workspace_lower": self.workspace_lower,
+            "workspace_upper": self.workspace_upper,
+            "geometric_features": self.geometric_features,
+            "validity_head": self.validity_head,
+        }
+
+    # ---------------------------------------------------------------- once a query
+
+    def encode(self, roadmap: Roadmap, scene: Scene, max_edges: int | None = None) -> Encoding:
+        """Codes of all nodes, and every projection of them that a search step needs.
+
+        Args:
+            roadmap: nodes and edges, without a batch axis.
+            scene: the obstacles.
+            max_edges: room for directed edges; edges beyond it are ignored. All slots if None,
+                which is always enough but slow, as most slots are padding.
+        """
+        max_edges = max_edges or roadmap.neighbors.size
+        data = self.node_data(roadmap)
+        graph: Graph = graphs_tuple(roadmap, max_edges)
+        code = self.embed_nodes(graph, data)
+        features = jnp.concatenate([code, data], axis=-1) if self.geometric_features else code
+        environment = self.encode_environment(graph, features, self.encode_obstacles(scene))
+        key, value = self.key_environment(environment), self.value_environment(environment)
+        # Of an empty path, attention is all on the node itself.
+        path_free = self.attention_norm(value + environment)
+        decoder_near = self.decoder_environment(environment)
+        decoder_far = -self.decoder_difference(path_free)
+        if self.geometric_features:
+            decoder_near += self.decoder_near_data(data)
+            decoder_far += self.decoder_far_data(data)
+        if self.validity_head:
+            ends = jnp.concatenate([features, environment], axis=-1)
+            validity = self.validity_node(ends)
+        else:
+            validity = jnp.zeros_like(environment)
+        return Encoding(
+            code=code,
+            environment=environment,
+            key=key,
+            value=value,
+            self_score=jnp.sum(self.query_environment(environment) * key, axis=-1),
+            decoder_near=decoder_near,
+            decoder_far=decoder_far,
+            validity=validity,
+            goal_distance=jnp.linalg.norm(jnp.subtract(*jnp.split(data, 2, axis=-1)), axis=-1),
+        )
+
+    def node_data(self, roadmap: Roadmap) -> Float[Array, "N F"]:
+        """`h_i = [x_i, x_goal]`, joints in units of pi and padded with zeros to `num_dof`."""
+        num_dof = roadmap.nodes.shape[-1]
+        if num_dof > self.num_dof:
+            raise InputError(
+                f"the network is made for up to {self.num_dof} joints, the robot has {num_dof}; "
+                f"train one with num_dof={num_dof}"
+            )
+        nodes = jnp.pad(roadmap.nodes / jnp.pi, ((0, 0), (0, self.num_dof - num_dof)))
+        return jnp.concatenate([nodes, jnp.broadcast_to(nodes[GOAL], nodes.shape)], axis=-1)
+
+    def embed_nodes(self, graph: Graph, data: Float[Array, "N F"]) -> Float[Array, "N C"]:
+        """`x = ReLU(GCN(ReLU(GAT(h))))`, with self edges in both layers."""
+        num_nodes = data.shape[0]
+        own = jnp.arange(num_nodes + 1)  # jraph's GAT expects self edges; the last is the dummy's
+        graph = graph._replace(
+            nodes=_add_dummy(data),
+            senders=jnp.concatenate([graph.senders, own]),
+            receivers=jnp.concatenate([graph.receivers, own]),
+            edges=None,
+        )
+        gat_layer: Any = jraph.GAT
+        gcn_layer: Any = jraph.GraphConvolution
+        gat = gat_layer(self.gat_weight, self._gat_logit, node_update_fn=jax.nn.relu)
+        gcn = gcn_layer(self.gcn_weight, symmetric_normalization=True)
+        return jax.nn.relu(gcn(gat(graph)).nodes[:num_nodes])
+
+    def _gat_logit(
+        self, sent: Float[Array, "E C"], received: Float[Array, "E C"], edges: None
+    ) -> Float[Array, "E 1"]:
+        del edges
+        return jax.nn.leaky_relu(self.gat_attention(jnp.concatenate([received, sent], axis=-1)))
+
+    def encode_obstacles(self, scene: Scene) -> Float[Array, " C"]:
+        """`y`: occupancy grid, 3D CNN, linear layer."""
+        grid = occupancy_grid(scene, self.workspace_lower, self.workspace_upper, self.grid_size)
+        grid = grid[..., None]
+        for conv in self.convs:
+            grid = jax.nn.relu(conv(grid))
+        return self.grid_linear(grid.reshape(-1))
+
+    def encode_environment(
+        self,
+        graph: Graph,
+        features: Float[Array, "N F"],
+        obstacles: Float[Array, " C"],
+    ) -> Float[Array, "N C"]:
+        """`o_i`: mean over the edges of node i of a two-layer MLP on `(x_i, x_j, y)`.
+
+        The second layer is linear, so it is applied after the mean, once a node.
+        """
+        near = _add_dummy(self.pair_near(features))
+        far = _add_dummy(self.pair_far(features))
+        pairs = near[graph.receivers] + far[graph.senders] + self.pair_obstacles(obstacles)
+        hidden = jax.nn.relu(self.pair_norm(pairs))
+        mean = jraph.segment_mean(hidden, graph.receivers, near.shape[0])
+        return self.pair_out(mean[:-1])
+
+    # ---------------------------------------------------------------- once a step
+
+    def init_path(self) -> PathState:
+        """The empty path."""
+        memory = jnp.zeros((self.max_path, self.channels))
+        return PathState(jnp.zeros(self.channels), memory, memory, jnp.zeros((), jnp.int32))
+
+    def extend_path(
+        self, encoding: Encoding, state: PathState, node: Int[Array, ""] | int
+    ) -> PathState:
+        """Appends a node to the path. Past `max_path` nodes, the oldest leaves the memory."""
+        hidden, _ = self.gru(state.hidden, encoding.code[node])
+        slot = state.length % self.max_path
+        return PathState(
+            hidden=hidden,
+            queries=state.queries.at[slot].set(self.query_path(hidden)),
+            values=state.values.at[slot].set(self.value_path(hidden)),
+            length=state.length + 1,
+        )
+
+    def attend(
+        self, encoding: Encoding, state: PathState, node: Int[Array, ""] | int
+    ) -> Float[Array, " C"]:
+        """Attention*: softmax of `[Q_e,i K_e,i | Q_p K_e,i]` weighs `[V_e,i | V_p]`."""
+        scores = jnp.append(state.queries @ encoding.key[node], encoding.self_score[node])
+        walked = jnp.append(jnp.arange(self.max_path) < state.length, True)
+        weights = jax.nn.softmax(scores / jnp.sqrt(self.channels), where=walked)
+        attention = weights[:-1] @ state.values + weights[-1] * encoding.value[node]
+        return self.attention_norm(attention + encoding.environment[node])
+
+    def guidance_values(
+        self,
+        encoding: Encoding,
+        state: PathState,
+        roadmap: Roadmap,
+        node: Int[Array, ""] | int,
+    ) -> Float[Array, " K"]:
+        """Guidance values of a node's slots, larger is better; padded slots are not masked."""
+        neighbors = roadmap.neighbors[node]
+        near = self._decoder_near(self.attend(encoding, state, node)) + encoding.decoder_near[node]
+        geometry = _edge_geometry(
+            roadmap.lengths[node],
+            encoding.goal_distance[node],
+            encoding.goal_distance[neighbors],
+        )
+        return self._decode(near + encoding.decoder_far[neighbors], geometry)
+
+    def _decoder_near(self, attended: Float[Array, "*rows C"]) -> Float[Array, "*rows C"]:
+        """The attended code of node i in the first layer of `h_x(x_i, x_i - x_j, o_i)`."""
+        return self.decoder_node(attended) + self.decoder_difference(attended)
+
+    def _decode(
+        self, first: Float[Array, "rows C"], geometry: Float[Array, "rows 4"]
+    ) -> Float[Array, " rows"]:
+        """The rest of `h_x`, then the MLP to the guidance value."""
+        if self.geometric_features:
+            first = first + self.decoder_geometry(geometry)
+        decoded = jax.nn.relu(self.decoder_out(jax.nn.relu(first)))
+        values = self.value_out(jax.nn.relu(self.value_hidden(decoded)))
+        if self.geometric_features:
+            values = values + self.value_geometry(geometry)
+        return values[:, 0]
+
+    # ---------------------------------------------------------------- all edges at once
+
+    def edge_outputs(
+        self, encoding: Encoding, roadmap: Roadmap, max_edges: int | None = None
+    ) -> EdgeOutputs:
+        """Guidance values and validity logits of all edges.
+
+        The values of node i are those of a search that starts there: its path is i alone.
+
+        Args:
+            encoding: of this roadmap.
+            roadmap: nodes and edges, without a batch axis.
+            max_edges: as in `encode`; outputs of edges beyond it are zero.
+        """
+        mask = roadmap.neighbor_mask
+        max_edges = max_edges or mask.size
+        graph: Graph = graphs_tuple(roadmap, max_edges)
+        lengths = graph.edges[:, 0]
+
+        hidden, _ = self.gru(jnp.zeros_like(encoding.code), encoding.code)
+        path_score = jnp.sum(self.query_path(hidden) * encoding.key, axis=-1)
+        scores = jnp.stack([encoding.self_score, path_score], axis=-1)
+        weights = jax.nn.softmax(scores / jnp.sqrt(self.channels))
+        attention = weights[:, :1] * encoding.value + weights[:, 1:] * self.value_path(hidden)
+        attended = self.attention_norm(attention + encoding.environment)
+
+        # One wide gather an end, as each costs a scatter in the gradient.
+        near_nodes = self._decoder_near(attended) + encoding.decoder_near
+        shared = [encoding.validity, encoding.goal_distance[:, None]]
+        near = _add_dummy(jnp.concatenate([near_nodes, *shared], axis=-1))[graph.receivers]
+        far = _add_dummy(jnp.concatenate([encoding.decoder_far, *shared], axis=-1))[graph.senders]
+        c = self.channels
+        geometry = _edge_geometry(lengths, near[:, -1], far[:, -1])
+        values = self._decode(near[:, :c] + far[:, :c], geometry)
+        logits = self._validity(near[:, c:-1], far[:, c:-1], lengths)
+
+        # Row e of the compact list is the e-th slot that holds an edge; its padding is dropped.
+        slots = jnp.nonzero(mask.ravel(), size=max_edges, fill_value=mask.size)[0]
+        both = jnp.stack([values, logits], axis=-1)
+        outputs = jnp.zeros((mask.size, 2)).at[slots].set(both, mode="drop")
+        outputs = outputs.reshape(*mask.shape, 2)
+        return EdgeOutputs(outputs[..., 0], outputs[..., 1])
+
+    def _validity(
+        self,
+        near: Float[Array, "E C"],
+        far: Float[Array, "E C"],
+        lengths: Float[Array, " E"],
+    ) -> Float[Array, " E"]:
+        """Logit that an edge is collision-free, the same in both directions by construction.
+
+        Half of the channels add up over the two ends, half are compared.
+        """
+        if not self.validity_head:
+            return jnp.zeros_like(lengths)
+        half = self.channels // 2
+        total = near[:, :half] + far[:, :half] + self.validity_length(lengths[:, None] / jnp.pi)
+        difference = jnp.abs(near[:, half:] - far[:, half:])
+        first = jnp.concatenate([jax.nn.relu(total), difference], axis=-1)
+        hidden = jax.nn.relu(self.validity_hidden(first))
+        return self.validity_out(hidden)[:, 0]
+
+
+def _add_dummy(rows: Float[Array, "N F"]) -> Float[Array, "M F"]:
+    """Adds the node that the padding edges of `graphs_tuple` run from and to."""
+    return jnp.pad(rows, ((0, 1), (0, 0)))
+
+
+def _edge_geometry(
+    lengths: Float[Array, " E"],
+    near: Float[Array, "*scalar_or_E"],
+    far: Float[Array, " E"],
+) -> Float[Array, "E 4"]:
+    """Length, goal distances of both ends, and progress per length; distances in units of pi."""
+    lengths = lengths / jnp.pi
+    progress = (near - far) / jnp.maximum(lengths, 1e-6)
+    near = jnp.broadcast_to(near, far.shape)
+    # Padded slots have no length, and a padding row may pair nodes that are far apart.
+    return jnp.stack([lengths, near, far, jnp.clip(progress, -1.0, 1.0)], axis=-1)

@@ -1,0 +1,86 @@
+"""Plans one query: `python -m gnnjax.plan --robot R --scene scene.json --start ... --goal ...`."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from gnnjax.collision import Backend
+from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Method, load_planner
+from gnnjax.scene import scene_from_json
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanConfig:
+    """Plan one query and write its path."""
+
+    scene: Path
+    """JSON file with the boxes."""
+    start: tuple[float, ...]
+    """Joint values, rad."""
+    goal: tuple[float, ...]
+    """Joint values, rad."""
+    robot: str = "kuka_iiwa14"
+    """Shipped robot, or path of an MJCF."""
+    out: Path = Path("path.npz")
+    """Where the path goes: arrays path [L, D], scene boxes and counts."""
+    image: Path | None = None
+    """Where a picture of the path goes (needs the viz extra)."""
+    planner: Method = "lazysp"
+    """How the roadmap is searched."""
+    num_nodes: int = 200
+    """Nodes of a roadmap."""
+    max_roadmaps: int = DEFAULT_MAX_ROADMAPS
+    """Roadmaps to try before giving up."""
+    checker: Backend = "fused"
+    """Collision backend."""
+    seed: int = 0
+    """Seed of the roadmaps."""
+
+
+def main(config: PlanConfig) -> int:
+    """Plans, prints a summary and writes the files; returns 1 where there is no path."""
+    scene = scene_from_json(config.scene)
+    planner = load_planner(
+        config.robot,
+        config.planner,
+        num_nodes=config.num_nodes,
+        max_roadmaps=config.max_roadmaps,
+        backend=config.checker,
+    )
+    draw = None
+    if config.image is not None:  # before planning: a missing extra should not cost the plan
+        try:
+            from gnnjax.plot import draw_plan as draw
+        except ImportError as error:
+            raise InputError(
+                f"--image needs the viz extra ({error}); pip install 'gnnjax[viz]'"
+            ) from None
+    print("compiling and planning (the first run takes up to a minute, later ones seconds) ...")
+    plan = planner.plan(scene, np.array(config.start), np.array(config.goal), seed=config.seed)
+    if not plan.success:
+        print(f"no path: {plan.reason}")
+        return 1
+    print(
+        f"path of {len(plan.path)} configurations, cost {plan.cost:.3f} rad, certified free; "
+        f"{plan.edge_checks} edge checks, {plan.configuration_checks} configuration checks "
+        f"({plan.sampling_checks} for sampling)"
+    )
+
+    def write(file: Path) -> None:
+        arrays = {name: getattr(plan, name) for name in plan._fields if name != "reason"}
+        with open(file, "wb") as stream:
+            np.savez_compressed(stream, robot=np.array(planner.robot.name), **arrays)
+
+    atomic_write(config.out, write)
+    print(f"wrote {config.out}")
+    if config.image is not None and draw is not None:
+        draw(planner.robot, scene, plan.path, config.image)
+        print(f"wrote {config.image}")
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(PlanConfig)))

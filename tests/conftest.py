@@ -1,0 +1,48 @@
+"""Settings and robots that several test files share."""
+
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update(
+    "jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".pytest_cache" / "jax")
+)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+TINY = """
+<mujoco model="tiny">
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    <geom type="sphere" size="0.1" contype="1" conaffinity="1"/>
+    <body name="upper">
+      <joint name="a" axis="0 0 1" range="-3 3"/>
+      <geom type="sphere" size="0.08" pos="0.2 0 0" mass="1"/>
+      <body name="middle" pos="0.4 0 0">
+        <joint name="b" axis="0 1 0" range="-2.5 2.5"/>
+        <geom type="sphere" size="0.08" pos="0.15 0 0" mass="1"/>
+        <body name="lower" pos="0.3 0 0" quat="1 0 0 1">
+          <joint name="c" axis="0 0.6 0.8" pos="0.02 0 0" range="-2 2"/>
+          <geom type="sphere" size="0.07" pos="0.15 0 0.02" mass="1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="session")
+def tiny_path(tmp_path_factory):
+    """An arm of three joints and four spheres, whose kernels compile in a second."""
+    path = tmp_path_factory.mktemp("robots") / "tiny.xml"
+    path.write_text(TINY)
+    return path
+
+
+@pytest.fixture(scope="module")
+def quick_compilation():
+    """For tests that compile much and compute little."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)

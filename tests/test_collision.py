@@ -1,0 +1,399 @@
+"""Collision checking against MuJoCo's C engine and MJX, and edges against a plain loop."""
+
+from collections import deque
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from gnnjax.collision import (
+    EDGE_RESOLUTION,
+    _check_edges,
+    bisection_order,
+    boxes_clear,
+    make_checker,
+)
+from gnnjax.errors import InputError
+from gnnjax.robot import load_robot
+from gnnjax.scene import Scene, make_scene
+from gnnjax.world import build_world, place_boxes
+
+MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
+CAPSULES = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <default><geom contype="1" conaffinity="1" mass="1"/></default>
+  <worldbody>
+    <geom type="capsule" fromto="0 0 -0.2 0 0 0" size="0.06"/>
+    <body pos="0 0 0.1">
+      <joint axis="0 0 1" range="-3 3"/>
+      <geom type="capsule" fromto="0 0 0.1 0.1 0 0.4" size="0.05"/>
+      <body pos="0.1 0 0.45">
+        <joint axis="0 1 0" range="-2.6 2.6"/>
+        <geom type="sphere" pos="0 0.04 0.15" size="0.06"/>
+        <body pos="0 0 0.3">
+          <joint axis="0.6 0.8 0" range="-2.6 2.6"/>
+          <geom type="capsule" fromto="0 0 0.05 0.05 0 0.3" size="0.04"/>
+          <body pos="0.05 0 0.35">
+            <joint axis="0 1 0" range="-2.6 2.6"/>
+            <geom type="capsule" fromto="-0.1 0 0.12 0.15 0.02 0.14" size="0.03"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def random_scene(rng, num_boxes, *, rotated, reach=0.9):
+    centers = rng.uniform(-reach, reach, (num_boxes, 3))
+    quats = rng.normal(size=(num_boxes, 4)) if rotated else None
+    scene = make_scene(centers, rng.uniform(0.05, 0.25, (num_boxes, 3)), quats)
+    return jax.tree.map(jnp.asarray, scene)
+
+
+def random_configurations(rng, robot, num):
+    q = rng.uniform(robot.joint_lower, robot.joint_upper, (num, robot.num_dof))
+    # Rounding to float32 must not leave the limits.
+    return jnp.asarray(np.clip(q.astype(np.float32), robot.joint_lower, robot.joint_upper))
+
+
+class Engine:
+    """MuJoCo's C engine: one world, whose boxes move from scene to scene."""
+
+    def __init__(self, robot, max_boxes=10):
+        self.model = build_world(robot, max_boxes)
+        self.model.geom_margin[:] = MARGIN
+        self.model.body_margin[:] = MARGIN
+        self.data = mujoco.MjData(self.model)
+
+    def place(self, scene):
+        place_boxes(self.model, self.data, scene)
+
+    def move(self, q):
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+
+    def gap(self, q):
+        """Least contact distance, m; `MARGIN` or more without contacts."""
+        self.move(q)
+        mujoco.mj_collision(self.model, self.data)
+        return min(self.data.contact.dist[: self.data.ncon], default=np.inf)
+
+    def gaps(self, q):
+        return np.array([self.gap(row) for row in np.asarray(q, float)])
+
+    def box_distance(self, geom, box):
+        other = self.model.geom(f"box_{box}").id
+        return mujoco.mj_geomDistance(self.model, self.data, geom, other, 10.0, None)
+
+    def clearance(self, robot, scene, q):
+        """Least true distance, pair by pair, m."""
+        self.move(np.asarray(q, float))
+        weld = self.model.body_weldid[self.model.geom_bodyid]
+        moving = [g for g in robot.geom_ids.tolist() if weld[g]]
+        found = [self.box_distance(g, i) for g in moving for i in np.flatnonzero(scene.mask)]
+        for i, j in robot.geom_ids[robot.self_pairs].tolist():
+            found.append(mujoco.mj_geomDistance(self.model, self.data, i, j, 10.0, None))
+        return min(found)
+
+
+@pytest.fixture(scope="module")
+def tiny(tiny_path):
+    return load_robot(tiny_path)
+
+
+@pytest.fixture(scope="module")
+def tiny_checker(tiny):
+    return make_checker(tiny)
+
+
+@pytest.fixture(scope="module")
+def tiny_edges(tiny_checker):
+    return jax.jit(tiny_checker.check_edges)
+
+
+@pytest.fixture(scope="module")
+def capsules(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robots") / "capsules.xml"
+    path.write_text(CAPSULES)
+    return load_robot(path)
+
+
+def assert_verdicts_agree(valid, gaps):
+    wrong = (np.asarray(valid) != (gaps > 0)) & (np.abs(gaps) > 1e-4)
+    assert not wrong.any(), f"{wrong.sum()} disagree, C distances {gaps[wrong][:5]}"
+
+
+@pytest.mark.parametrize(("name", "rotated"), [("kinova_gen3", True), ("kuka_iiwa14", False)])
+def test_shipped_arms_match_c_engine(name, rotated):
+    robot, rng = load_robot(name), np.random.default_rng(0)
+    check = jax.jit(make_checker(robot, axis_aligned=not rotated).check_configurations)
+    engine = Engine(robot)
+    num_valid, by_itself = 0, 0
+    for num_boxes in (0, 2, 5, 9):
+        scene = random_scene(rng, num_boxes, rotated=rotated)
+        q = random_configurations(rng, robot, 2500)
+        valid = check(scene, q)
+        engine.place(scene)
+        gaps = engine.gaps(q)
+        assert_verdicts_agree(valid, gaps)
+        num_valid += int(valid.sum())
+        by_itself += int((gaps < 0).sum()) if num_boxes == 0 else 0
+    # Both outcomes, and self-collisions, must have been there to agree on.
+    assert 1000 < num_valid < 9000
+    assert by_itself > 10
+
+
+def test_capsules_match_c_engine(capsules):
+    rng = np.random.default_rng(1)
+    check = jax.jit(make_checker(capsules).check_configurations)
+    engine = Engine(capsules)
+    # Four boxes a pass here, so that the last pass over nine holds padding.
+    for num_boxes in (0, 4, 9):
+        scene = random_scene(rng, num_boxes, rotated=True, reach=1.4)
+        q = random_configurations(rng, capsules, 1000)
+        engine.place(scene)
+        valid = check(scene, q)
+        assert_verdicts_agree(valid, engine.gaps(q))
+        assert 10 < valid.sum() < 990
+
+
+def test_clearance_is_the_distance(capsules, tiny):
+    rng = np.random.default_rng(2)
+    for robot, reach in ((capsules, 0.9), (tiny, 1.5)):
+        clearance = jax.jit(make_checker(robot).clearance)
+        engine = Engine(robot)
+        num_clear = 0
+        for num_boxes in (0, 1, 3):
+            scene = random_scene(rng, num_boxes, rotated=True, reach=reach)
+            q = random_configurations(rng, robot, 40)
+            engine.place(scene)
+            expected = np.array([engine.clearance(robot, scene, row) for row in q])
+            found = np.asarray(clearance(scene, q))
+            clear = expected > 0
+            num_clear += clear.sum()
+            np.testing.assert_allclose(found[clear], expected[clear], atol=1e-4)
+            assert (found[~clear] < 1e-4).all()
+        assert num_clear > 50
+
+
+def test_clearance_shapes(tiny, tiny_checker):
+    scene = random_scene(np.random.default_rng(3), 3, rotated=True)
+    q = random_configurations(np.random.default_rng(3), tiny, 6)
+    flat = tiny_checker.clearance(scene, q)
+    assert flat.shape == (6,)
+    grid = tiny_checker.clearance(scene, q.reshape(2, 3, -1))
+    np.testing.assert_allclose(grid, flat.reshape(2, 3), atol=1e-6)
+    np.testing.assert_allclose(tiny_checker.clearance(scene, q[0]), flat[0], atol=1e-6)
+
+
+def test_mjx_matches_fused_and_c_engine(tiny):
+    rng = np.random.default_rng(4)
+    fused = jax.jit(make_checker(tiny).check_configurations)
+    mjx = make_checker(tiny, "mjx")
+    check, clearance = jax.jit(mjx.check_configurations), jax.jit(mjx.clearance)
+    engine = Engine(tiny)
+    for num_boxes in (0, 3, 9):
+        scene = random_scene(rng, num_boxes, rotated=True)
+        q = random_configurations(rng, tiny, 200)
+        engine.place(scene)
+        gaps = engine.gaps(q)
+        valid = check(scene, q)
+        assert_verdicts_agree(valid, gaps)
+        assert (np.asarray(valid) == np.asarray(fused(scene, q)))[np.abs(gaps) > 1e-4].all()
+        # Penetration depths are distances in MJX, too.
+        deep = gaps < -1e-4
+        np.testing.assert_allclose(clearance(scene, q)[deep], gaps[deep], atol=1e-4)
+    assert clearance(scene, q.reshape(2, 100, -1)).shape == (2, 100)
+
+
+def test_mjx_needs_its_number_of_boxes(tiny):
+    checker = make_checker(tiny, "mjx", max_boxes=3)
+    scene = random_scene(np.random.default_rng(0), 2, rotated=False)
+    with pytest.raises(InputError, match="10 boxes, the MJX checker for 3"):
+        checker.check_configurations(scene, jnp.zeros((1, 3)))
+
+
+def test_moved_box_is_hit(tiny):
+    # The C engine keeps bounding volumes; boxes that moved or grew after compilation must not
+    # leave theirs behind.
+    engine = Engine(tiny)
+    q = np.zeros(3)
+    for center, size, hit in [
+        ([0.5, 0, 0], 0.05, True),
+        ([0.5, 0, 3], 0.05, False),
+        ([0.5, 0, 3], 2.98, True),
+        ([0.5, 0, 3], 2.5, False),
+        ([-0.6, 0, 0], 0.05, False),
+        ([0.55, 0.05, 0], 0.02, True),
+    ]:
+        engine.place(make_scene([center], [[size] * 3]))
+        assert (engine.gap(q) < 0) == hit
+    engine.place(make_scene([], []))
+    assert engine.gap(q) > 0
+
+
+def test_boxes_ignore_each_other_and_the_base(tiny):
+    engine = Engine(tiny)
+    engine.place(make_scene([[0, 0, -0.54], [0, 0, -0.44]], [[0.45] * 3, [0.35] * 3]))
+    contacts = engine.gap(np.array([0.0, -1.0, 0.0]))
+    assert contacts > 0
+
+
+def plain_check_edge(engine, robot, start, end):
+    """Tests an edge point by point: `(valid, number of points tested)`."""
+    start, end = (np.asarray(x, np.float32) for x in (start, end))
+    if tuple(start) > tuple(end):
+        start, end = end, start
+    length = np.linalg.norm(end - start)
+    intervals = max(1, int(np.ceil(length / np.float32(EDGE_RESOLUTION))))
+    num_checks = 0
+    stretches = deque([(0, intervals)])
+    while stretches:
+        low, high = stretches.popleft()
+        middle = (low + high) // 2
+        if middle == low:
+            continue
+        stretches += [(low, middle), (middle, high)]
+        num_checks += 1
+        q = start + np.float32(middle) / np.float32(intervals) * (end - start)
+        if engine.gap(q) <= 0:
+            return False, num_checks
+    return True, num_checks
+
+
+def test_edges_match_plain_loop(tiny, tiny_edges):
+    rng = np.random.default_rng(5)
+    scene = random_scene(rng, 2, rotated=True)
+    engine = Engine(tiny)
+    engine.place(scene)
+    starts = random_configurations(rng, tiny, 200)
+    ends = random_configurations(rng, tiny, 200)
+    # Long and short edges.
+    ends = starts + (ends - starts) * jnp.linspace(0.02, 1, 200)[:, None]
+    expected = [plain_check_edge(engine, tiny, s, e) for s, e in zip(starts, ends, strict=True)]
+    valid, num_checks = (np.array(column) for column in zip(*expected, strict=True))
+    assert 20 < valid.sum() < 180
+    for there, back in ((starts, ends), (ends, starts)):
+        checks = tiny_edges(scene, there, back)
+        np.testing.assert_array_equal(checks.valid, valid)
+        np.testing.assert_array_equal(checks.num_checks, num_checks)
+    # Few edges are tested in other blocks than many.
+    few = tiny_edges(scene, starts[-4:], ends[-4:])
+    np.testing.assert_array_equal(few.valid, valid[-4:])
+    np.testing.assert_array_equal(few.num_checks, num_checks[-4:])
+
+
+def test_edges_leave_no_gap_wider_than_the_resolution():
+    # An obstacle a bit wider than the resolution, anywhere on the edge, must be found, and a free
+    # edge must take no more tests than that needs.
+    order = bisection_order(80)
+
+    def check(scene, q):
+        return jnp.abs(q[:, 0] - scene.centers[0, 0]) > EDGE_RESOLUTION / 2 + 1e-5
+
+    def edge(target, length):
+        scene = Scene(
+            jnp.full((1, 3), target), jnp.ones((1, 3)), jnp.ones((1, 4)), jnp.ones(1, bool)
+        )
+        start, end = jnp.zeros((1, 1)), jnp.full((1, 1), length)
+        return _check_edges(check, order, EDGE_RESOLUTION, scene, start, end)
+
+    lengths = np.random.default_rng(6).uniform(0.06, 3.9, 40).astype(np.float32)
+    lengths = np.repeat(lengths, 50)
+    inside = np.tile(np.linspace(0, 1, 50, dtype=np.float32), 40)
+    targets = EDGE_RESOLUTION / 2 + inside * (lengths - EDGE_RESOLUTION)
+    checks = jax.jit(jax.vmap(edge))(targets.astype(np.float32), lengths)
+    assert not checks.valid.any()
+    free = jax.jit(jax.vmap(edge))(np.full_like(lengths, 100), lengths)
+    assert free.valid.all()
+    np.testing.assert_array_equal(
+        free.num_checks[:, 0], np.ceil(lengths / np.float32(EDGE_RESOLUTION)) - 1
+    )
+
+
+def test_edges_of_no_length_and_beyond_range(tiny, tiny_edges):
+    scene = jax.tree.map(jnp.asarray, make_scene([], []))
+    q = jnp.zeros((2, 3))
+    checks = tiny_edges(scene, q, q)
+    assert checks.valid.all()
+    assert not checks.num_checks.any()
+    checks = tiny_edges(scene, q, q.at[0, 1].set(jnp.nan).at[1, 0].set(100.0))
+    assert not checks.valid.any()
+
+
+def test_edges_eager_and_vmap(tiny, tiny_checker, tiny_edges):
+    rng = np.random.default_rng(7)
+    scenes = [random_scene(rng, num, rotated=True, reach=0.7) for num in (0, 4, 8)]
+    starts, ends = random_configurations(rng, tiny, 5), random_configurations(rng, tiny, 5)
+    eager = tiny_checker.check_edges(scenes[1], starts, ends)
+    jitted = [tiny_edges(scene, starts, ends) for scene in scenes]
+    stacked = jax.tree.map(lambda *x: np.stack(x), *scenes)
+    mapped = jax.jit(jax.vmap(tiny_checker.check_edges, in_axes=(0, None, None)))(
+        stacked, starts, ends
+    )
+    for field in range(2):
+        np.testing.assert_array_equal(eager[field], jitted[1][field])
+        for s in range(3):
+            np.testing.assert_array_equal(mapped[field][s], jitted[s][field])
+    assert 0 < mapped.valid.sum() < mapped.valid.size
+
+
+@pytest.mark.parametrize("backend", ["fused", "mjx"])
+def test_invalid_configurations(tiny, backend):
+    check = jax.jit(make_checker(tiny, backend).check_configurations)
+    scene = jax.tree.map(jnp.asarray, make_scene([], []))
+    upper, lower = jnp.asarray(tiny.joint_upper), jnp.asarray(tiny.joint_lower)
+    q = jnp.zeros((6, 3)).at[1, 2].set(jnp.nan).at[2].set(jnp.nan).at[3, 0].set(jnp.inf)
+    q = q.at[4, 0].set(jnp.nextafter(upper[0], jnp.float32(9)))
+    q = q.at[5, 2].set(jnp.nextafter(lower[2], jnp.float32(-9)))
+    assert np.asarray(check(scene, q)).tolist() == [True, False, False, False, False, False]
+
+
+def test_boxes_clear_matches_distances(capsules, tiny):
+    rng = np.random.default_rng(8)
+    for robot in (capsules, tiny):
+        engine = Engine(robot)
+        weld = engine.model.body_weldid[engine.model.geom_bodyid]
+        for base_only in (False, True):
+            found = jax.jit(lambda s, q, b=base_only, r=robot: boxes_clear(r, s, q, base_only=b))
+            for _ in range(4):
+                scene = random_scene(rng, 8, rotated=True, reach=0.5)
+                q = random_configurations(rng, robot, 1)[0]
+                engine.place(scene)
+                engine.move(np.asarray(q, float))
+                geoms = [g for g in robot.geom_ids.tolist() if not (base_only and weld[g])]
+                expected = [min(engine.box_distance(g, i) for g in geoms) > 0 for i in range(8)]
+                assert np.asarray(found(scene, q)).tolist() == [*expected, True, True]
+
+
+def test_bad_geoms(tiny, tmp_path):
+    path = tmp_path / "cylinder.xml"
+    geom = '<geom type="sphere" size="0.07" pos="0.15 0 0.02" mass="1"/>'
+    text = tiny.path.read_text()
+    assert geom in text
+    path.write_text(text.replace(geom, '<geom name="stick" type="cylinder" size="0.1 0.1"/>'))
+    with pytest.raises(InputError, match="stick of cylinder is neither sphere nor capsule"):
+        make_checker(load_robot(path))
+    with pytest.raises(InputError, match="MJX cannot collide cylinder"):
+        make_checker(load_robot(path), "mjx")
+
+
+def test_bisection_order():
+    order = bisection_order(70)
+    assert order.shape == (71, 70)
+    for n, row in enumerate(order):
+        inner = max(n - 1, 0)
+        assert sorted(row[:inner]) == list(range(1, n))
+        assert not row[inner:].any()
+    assert order[8, :7].tolist() == [4, 2, 6, 1, 3, 5, 7]
+    # After 2^k - 1 tests no stretch longer than n / 2^k, rounded up, is left.
+    for n in (17, 40, 64):
+        for k in range(1, 5):
+            tested = np.sort(np.concatenate([[0, n], order[n, : 2**k - 1]]))
+            assert np.diff(tested).max() <= -(-n // 2**k)

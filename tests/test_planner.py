@@ -1,0 +1,165 @@
+"""Planning a query end to end, certification, and what bad input gets."""
+
+import itertools
+import json
+import subprocess
+import sys
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from gnnjax.certify import certify_edges, certify_path, configuration_clearance
+from gnnjax.errors import InputError
+from gnnjax.planner import Planner, load_planner
+from gnnjax.robot import load_robot
+from gnnjax.scene import make_scene
+from gnnjax.world import build_world, place_boxes
+
+
+def random_scene(rng, num=3):
+    centers = rng.uniform(-0.9, 0.9, (num, 3))
+    # Far enough from the base, which is a ball of 0.1 m at the origin.
+    centers *= np.maximum(1, 0.5 / np.linalg.norm(centers, axis=1))[:, None]
+    quats = rng.normal(size=(num, 4))
+    return make_scene(centers, rng.uniform(0.03, 0.15, (num, 3)), quats)
+
+
+def collides_anywhere(robot, scene, path, step=0.002):
+    """Tests a path every `step` with MuJoCo's C engine."""
+    model = build_world(robot, len(scene.mask))
+    data = mujoco.MjData(model)
+    place_boxes(model, data, scene)
+    for start, end in itertools.pairwise(path):
+        count = int(np.ceil(np.linalg.norm(end - start) / step))
+        for fraction in np.linspace(0, 1, count + 1):
+            data.qpos[:] = start + fraction * (end - start)
+            mujoco.mj_fwdPosition(model, data)
+            if (data.contact.dist[: data.ncon] < -1e-6).any():
+                return True
+    return False
+
+
+def test_certified_edges_are_free_in_a_fine_scan_and_most_free_edges_are_certified(tiny_path):
+    robot, rng = load_robot(tiny_path), np.random.default_rng(0)
+    free = certified = refuted = 0
+    for _ in range(40):
+        scene = random_scene(rng)
+        edge = rng.uniform(robot.joint_lower, robot.joint_upper, (2, 3))
+        edge[1] = edge[0] + 0.3 * (edge[1] - edge[0])
+        yes = certify_path(robot, scene, edge)
+        hit = collides_anywhere(robot, scene, edge)
+        assert not (yes and hit)
+        free, certified, refuted = free + (not hit), certified + yes, refuted + hit
+    assert certified >= 0.95 * free
+    assert refuted >= 5
+
+
+@pytest.mark.parametrize("method", ["lazysp", "distance", "prm", "oracle"])
+def test_every_method_plans_certified_paths(tiny_path, method):
+    robot, rng = load_robot(tiny_path), np.random.default_rng(1)
+    planner = Planner(robot, method, num_nodes=60, max_roadmaps=2)
+    solved = 0
+    for _ in range(6):
+        scene = random_scene(rng)
+        while True:
+            start, goal = rng.uniform(robot.joint_lower, robot.joint_upper, (2, 3))
+            if min(configuration_clearance(robot, scene, q) for q in (start, goal)) > 0:
+                break
+        plan = planner.plan(scene, start, goal)
+        solved += plan.success
+        if not plan.success:
+            assert "no path in the 2 roadmaps" in plan.reason
+            assert len(plan.path) == 0
+            continue
+        np.testing.assert_allclose(plan.path[[0, -1]], [start, goal], atol=1e-6)
+        assert not collides_anywhere(robot, scene, plan.path, step=0.01)
+        assert plan.certified
+        assert plan.configuration_checks == plan.sampling_checks + plan.search_checks
+        assert plan.sampling_checks >= 2 + 58
+    assert solved >= 5
+
+
+def test_the_same_seed_gives_the_same_plan(tiny_path):
+    planner = Planner(load_robot(tiny_path), num_nodes=60)
+    scene = random_scene(np.random.default_rng(2))
+    first, again = (
+        planner.plan(scene, [0.5, 1, 0], [-2, -1, 1], seed=3)._replace(
+            planning_time_s=0.0, total_time_s=0.0
+        )
+        for _ in range(2)
+    )
+    jax.tree.map(np.testing.assert_array_equal, first[:2] + first[2:], again[:2] + again[2:])
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        ([0.0, 0.0], r"start has shape \(2,\); tiny needs 3 joint values"),
+        ([0.0, float("nan"), 0.0], "start has nan for joint 2; it must lie between"),
+        ([9.0, 0.0, 0.0], "start has 9 for joint 1; it must lie between -3 and 3"),
+        (["a", 0.0, 0.0], "is not a list of numbers"),
+        ([0.0, 0.0, 0.0], "start .* is in collision"),
+    ],
+)
+def test_a_bad_start_is_refused_with_its_value(tiny_path, start, message):
+    scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
+    with pytest.raises(InputError, match=message):
+        Planner(load_robot(tiny_path), num_nodes=60).plan(scene, start, [2.0, 0.0, 0.0])
+
+
+def test_a_box_in_the_base_is_refused(tiny_path):
+    scene = make_scene([[0.0, 0.0, 0.1]], [[0.05, 0.05, 0.05]])
+    with pytest.raises(InputError, match="box 0 of the scene touches the base"):
+        Planner(load_robot(tiny_path)).plan(scene, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+
+
+def test_a_motion_outside_the_joint_limits_is_not_certified(tiny_path):
+    scene = make_scene([], [])
+    edges = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([[1.0, 0, 0], [3.5, 0, 0]])
+    np.testing.assert_array_equal(
+        certify_edges(load_robot(tiny_path), scene, *edges), [True, False]
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"robot": "pr2"}, "no robot 'pr2' in assets/; there are"),
+        ({"robot": "missing.xml"}, "no MJCF file at 'missing.xml'"),
+        ({"robot": "kuka_iiwa14", "method": "magic"}, "no planner 'magic'; there are"),
+        ({"robot": "kuka_iiwa14", "num_nodes": 1}, "num_nodes is 1"),
+        ({"robot": "kuka_iiwa14", "max_roadmaps": 0}, "max_roadmaps is 0"),
+    ],
+)
+def test_bad_planner_arguments_name_the_choices(arguments, message):
+    with pytest.raises(InputError, match=message):
+        load_planner(**arguments)
+
+
+def run_plan(folder, robot, scene, start, goal):
+    (folder / "scene.json").write_text(json.dumps(scene))
+    command = [sys.executable, "-m", "gnnjax.plan", "--robot", str(robot), "--scene", "scene.json"]
+    command += ["--start", *start, "--goal", *goal, "--num-nodes", "60", "--max-roadmaps", "2"]
+    command += ["--image", "plan.png"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_the_command_plans_and_draws(tiny_path, tmp_path):
+    scene = {"boxes": [{"center": [0.6, 0, 0], "half_extents": [0.1, 0.1, 0.1]}]}
+    done = run_plan(tmp_path, tiny_path, scene, ["-1.5", "0", "0"], ["1.5", "0", "0"])
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "path.npz") as file:
+        assert file["path"].shape[1] == 3
+        assert file["certified"]
+    assert (tmp_path / "plan.png").stat().st_size > 10_000
+
+
+def test_the_command_says_in_one_line_what_is_wrong(tiny_path, tmp_path):
+    scene = {"boxes": [{"center": [0.6, 0, 0], "half_extents": [0.1, -0.1, 0.1]}]}
+    done = run_plan(tmp_path, tiny_path, scene, ["-1.5", "0", "0"], ["1.5", "0", "0"])
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: box 0 of 'scene.json' has half_extents")
+    assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "path.npz").exists()

@@ -1,0 +1,115 @@
+"""Roadmaps and their labels, against SciPy and plain loops."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial.distance import cdist
+
+from gnnjax.collision import EdgeChecks
+from gnnjax.labels import edge_validity, label_roadmap
+from gnnjax.roadmap import connect, graphs_tuple, radius_for_degree, reverse_slots
+from gnnjax.robot import load_robot
+
+
+def random_roadmap(seed, num=40, slots=24, radius=0.45, masked=0):
+    nodes = jax.random.uniform(jax.random.key(seed), (num, 3))
+    return jax.jit(connect, static_argnums=3)(nodes, jnp.arange(num) < num - masked, radius, slots)
+
+
+def adjacency(roadmap, keep=None):
+    num = len(roadmap.nodes)
+    matrix = np.zeros((num, num))
+    mask = np.asarray(roadmap.neighbor_mask if keep is None else keep)
+    for i, k in zip(*np.nonzero(mask), strict=True):
+        matrix[i, roadmap.neighbors[i, k]] = roadmap.lengths[i, k]
+    return matrix
+
+
+def test_all_pairs_within_the_radius_are_connected_when_slots_suffice():
+    roadmap = random_roadmap(0, masked=3)
+    nodes = np.asarray(roadmap.nodes, float)[:-3]
+    expected = cdist(nodes, nodes)
+    expected[expected > 0.45] = 0
+    np.testing.assert_allclose(adjacency(roadmap)[:-3, :-3], expected, atol=1e-6)
+    assert adjacency(roadmap)[-3:].sum() == 0
+    assert roadmap.num_dropped == 0
+
+
+def test_the_graph_stays_symmetric_when_slots_run_out_and_says_what_it_dropped():
+    full, short = random_roadmap(1), random_roadmap(1, slots=6)
+    matrix = adjacency(short)
+    np.testing.assert_array_equal(matrix, matrix.T)
+    assert ((matrix > 0).sum(axis=1) <= 6).all()
+    lost = ((adjacency(full) > 0).sum() - (matrix > 0).sum()) // 2
+    assert short.num_dropped == lost
+    assert lost > 0
+
+
+def test_reverse_slots_lead_back():
+    roadmap = random_roadmap(2, slots=10)
+    reverse = np.asarray(reverse_slots(roadmap))
+    for i, k in zip(*np.nonzero(np.asarray(roadmap.neighbor_mask)), strict=True):
+        j, back = divmod(reverse[i, k], 10)
+        assert j == roadmap.neighbors[i, k]
+        assert roadmap.neighbors[j, back] == i
+
+
+def test_graphs_tuple_holds_every_edge_once_each_way():
+    roadmap = random_roadmap(3)
+    graph = graphs_tuple(roadmap, 1024)
+    count = int(graph.n_edge[0])
+    matrix = np.zeros((41, 41))
+    np.add.at(matrix, (graph.receivers[:count], graph.senders[:count]), graph.edges[:count, 0])
+    np.testing.assert_allclose(matrix[:40, :40], adjacency(roadmap), rtol=1e-6)
+    assert (np.asarray(graph.senders[count:]) == 40).all()
+    assert int(graph.n_edge.sum()) == 1024
+
+
+@pytest.mark.parametrize("num_nodes", [200, 1000])
+def test_the_radius_gives_the_mean_degree(num_nodes):
+    robot = load_robot("kuka_iiwa14")
+    radius = radius_for_degree(robot, num_nodes, 14.0)
+    unit = jax.random.uniform(jax.random.key(0), (num_nodes, robot.num_dof))
+    roadmap = connect(unit * robot.joint_range, jnp.ones(num_nodes, bool), radius, 96)
+    assert abs(float(roadmap.neighbor_mask.sum(axis=1).mean()) - 14.0) < 1.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cost_to_go_and_next_node_agree_with_dijkstra(seed):
+    roadmap = random_roadmap(seed)
+    slots = roadmap.neighbors.shape[1]
+    chance = np.random.default_rng(seed).random(roadmap.neighbors.shape).reshape(-1)
+    # One draw an edge, the same from both ends.
+    index = np.arange(chance.size).reshape(-1, slots)
+    canonical = np.minimum(index, np.asarray(reverse_slots(roadmap)))
+    valid = np.asarray(roadmap.neighbor_mask) & (chance[canonical] < 0.3)
+    labels = jax.jit(label_roadmap)(roadmap, jnp.asarray(valid))
+    expected = dijkstra(csr_matrix(adjacency(roadmap, valid)), indices=1)
+    np.testing.assert_allclose(labels.cost_to_go, expected, rtol=1e-5)
+    for node, following in enumerate(np.asarray(labels.next_node)):
+        if node == 1 or np.isinf(expected[node]):
+            assert following == -1
+            continue
+        step = adjacency(roadmap, valid)[node, following]
+        assert step > 0
+        np.testing.assert_allclose(expected[node], step + expected[following], rtol=1e-5)
+
+
+def test_every_undirected_edge_is_checked_once():
+    roadmap = random_roadmap(4, num=60)
+
+    def check_edges(starts, ends):
+        middle = (starts + ends) / 2
+        moves = jnp.any(starts != ends, axis=-1)
+        return EdgeChecks(middle[:, 0] > 0.4, moves.astype(jnp.int32))
+
+    labelled = jax.jit(edge_validity, static_argnums=1)(roadmap, check_edges)
+    nodes = np.asarray(roadmap.nodes)
+    middle = (nodes[:, None] + nodes[np.asarray(roadmap.neighbors)]) / 2
+    expected = np.asarray(roadmap.neighbor_mask) & (middle[..., 0] > 0.4)
+    np.testing.assert_array_equal(labelled.edge_valid, expected)
+    undirected = int(roadmap.neighbor_mask.sum()) // 2
+    assert int(labelled.num_edge_checks) == int(labelled.num_checks) == undirected

@@ -1,0 +1,120 @@
+"""Searches: the jitted loop against the plain one, laws, and corners."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gnnjax.collision import EdgeChecks
+from gnnjax.labels import edge_validity, label_roadmap
+from gnnjax.roadmap import connect
+from gnnjax.search import (
+    GOAL,
+    distance_scorer,
+    greedy_search,
+    greedy_search_on_host,
+    lazy_search,
+    oracle_scorer,
+)
+
+
+def check_edges(starts, ends):
+    """Edges whose middle lies in a ball around the centre of the cube are blocked."""
+    middle = (starts + ends) / 2
+    valid = jnp.linalg.norm(middle - 0.5, axis=-1) > 0.35
+    return EdgeChecks(valid, jnp.where(valid, 7, 2))
+
+
+def check_edge(start, end):
+    return check_edges(start, end)
+
+
+@jax.jit
+def make_roadmap(key):
+    nodes = jax.random.uniform(key, (50, 3))
+    return connect(nodes, jnp.ones(50, bool), 0.42, 20)
+
+
+@jax.jit
+def label(roadmap):
+    return label_roadmap(roadmap, edge_validity(roadmap, check_edges).edge_valid)
+
+
+@jax.jit
+def by_distance(roadmap):
+    return greedy_search(roadmap, distance_scorer(roadmap), check_edge)
+
+
+@jax.jit
+def by_oracle(roadmap, cost):
+    return greedy_search(roadmap, oracle_scorer(roadmap, cost), check_edge)
+
+
+lazily = jax.jit(lambda roadmap: lazy_search(roadmap, check_edge))
+
+
+def path_cost(roadmap, path):
+    nodes = np.asarray(roadmap.nodes)[np.asarray(path)[np.asarray(path) >= 0]]
+    return np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_jitted_walk_equals_the_walk_on_the_host(seed):
+    roadmap = make_roadmap(jax.random.key(seed))
+    jitted = by_distance(roadmap)
+    host = greedy_search_on_host(roadmap, distance_scorer(roadmap), check_edge)
+    for ours, theirs in zip(jitted, host, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_batch_of_walks_equals_a_loop():
+    keys = jax.random.split(jax.random.key(7), 5)
+    roadmaps = jax.vmap(make_roadmap)(keys)
+    batch = jax.vmap(by_distance)(roadmaps)
+    for i in range(5):
+        single = by_distance(jax.tree.map(lambda x, i=i: x[i], roadmaps))
+        jax.tree.map(
+            lambda b, s, i=i: np.testing.assert_array_equal(b[i], s), tuple(batch), tuple(single)
+        )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_lazy_search_finds_the_shortest_path_or_that_there_is_none(seed):
+    roadmap = make_roadmap(jax.random.key(seed))
+    labels = label(roadmap)
+    found = lazily(roadmap)
+    assert bool(found.success) == bool(np.isfinite(labels.cost_to_go[0]))
+    if found.success:
+        np.testing.assert_allclose(path_cost(roadmap, found.path), labels.cost_to_go[0], rtol=1e-5)
+        assert int(found.edge_checks) <= int(roadmap.neighbor_mask.sum()) // 2
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_oracle_walks_the_shortest_path_and_checks_only_its_edges(seed):
+    roadmap = make_roadmap(jax.random.key(seed))
+    labels = label(roadmap)
+    if np.isinf(labels.cost_to_go[0]):
+        pytest.skip("start and goal are not connected for this seed")
+    found = by_oracle(roadmap, jnp.where(jnp.isinf(labels.cost_to_go), 1e9, labels.cost_to_go))
+    assert found.success
+    # It may first try an edge that is blocked but would lead to a good node.
+    steps = int((np.asarray(found.path) >= 0).sum()) - 1
+    assert int(found.edge_checks) >= steps
+    assert int(found.configuration_checks) >= 7 * steps
+
+
+def test_known_edges_cost_nothing():
+    roadmap = make_roadmap(jax.random.key(1))
+    first = lazily(roadmap)
+    again = lazy_search(roadmap, check_edge, first.edge_status)
+    assert int(again.edge_checks) == int(again.configuration_checks) == 0
+    np.testing.assert_array_equal(again.path, first.path)
+
+
+def test_a_walk_without_neighbors_fails_without_checks():
+    nodes = jnp.zeros((4, 3)).at[1].set(1.0)
+    roadmap = connect(nodes[:2], jnp.ones(2, bool), 0.1, 2)
+    for found in (by_distance(roadmap), lazily(roadmap)):
+        assert not found.success
+        assert int(found.edge_checks) == 0
+        assert GOAL not in np.asarray(found.path)
