@@ -190,7 +190,7 @@ def fit_link(hull: Hull, overshoot: float, config: FitConfig) -> np.ndarray:
         inside = gaps(points, best, hull.depth(best) + overshoot) <= 0
         alone = (inside & (inside.sum(axis=1) == 1)[:, None]).sum(axis=0)
         rank = min(int(rng.exponential(2.0)) if attempt else 0, len(best) - 1)
-        rest = np.delete(best, np.argsort(alone)[rank], axis=0)
+        rest = np.delete(np.asarray(best), int(np.argsort(alone)[rank]), axis=0)
         rest = rest + rng.normal(scale=(0.001, 0.004, 0.012)[attempt % 3], size=rest.shape)
         centers = move_centers(hull, points, rest, overshoot, (150, 300, 500)[attempt % 3], rng)
         attempt += 1

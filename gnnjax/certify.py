@@ -145,9 +145,10 @@ class _Spheres:
                 reach[joint.index] = radial + beyond
             beyond += np.linalg.norm(offset)
             for joint in link.joints:
+                model = self.robot.mj_model
+                travel = model.jnt_range[joint.index] - model.qpos0[joint.index]
                 slides = not joint.hinge
-                limits = self.robot.mj_model.jnt_range[joint.index]
-                beyond += np.abs(limits).max() if slides else 2 * np.linalg.norm(joint.anchor)
+                beyond += np.abs(travel).max() if slides else 2 * np.linalg.norm(joint.anchor)
             offset, body = link.position, link.parent
         return reach
 
@@ -183,12 +184,14 @@ class _Spheres:
     def _world_centers(self, q: np.ndarray) -> np.ndarray:
         rotations = [np.broadcast_to(np.eye(3), (len(q), 3, 3))]
         positions = [np.zeros((len(q), 3))]
+        # Bodies lie as the MJCF places them when a joint is at its reference (`ref`).
+        reference = self.robot.mj_model.qpos0
         for body in self.robot.bodies:  # the world comes first here: indices are shifted by one
             rotation, position = rotations[body.parent + 1], positions[body.parent + 1]
             position = position + rotation @ body.position
             rotation = rotation @ body.rotation
             for joint in body.joints:
-                value = q[:, joint.index]
+                value = q[:, joint.index] - reference[joint.index]
                 if not joint.hinge:
                     position = position + (rotation @ joint.axis) * value[:, None]
                     continue

@@ -302,8 +302,9 @@ def _fused(robot: Robot, axis_aligned: bool):
             def part(array):
                 return jax.lax.dynamic_slice_in_dim(array, i * boxes_a_pass, boxes_a_pass)
 
-            boxes = jax.tree.map(part, (centers, half_extents, rotations))
-            return smaller(box_pass(list(fresh), *boxes, gap), smallest)
+            turned = None if rotations is None else part(rotations)
+            gaps = box_pass(list(fresh), part(centers), part(half_extents), turned, gap)
+            return smaller(gaps, smallest)
 
         smallest = jnp.full(q.shape[:-1], jnp.inf, q.dtype)
         smallest = jax.lax.fori_loop(0, num_passes, one_pass, smallest)

@@ -32,7 +32,7 @@ def run_command(main: Callable[[], int | None]) -> NoReturn:
     sys.exit(status)
 
 
-def atomic_write(path: str | Path, write: Callable[[Path], None]) -> None:
+def atomic_write(path: str | Path, write: Callable[[Path], object]) -> None:
     """Replaces `path` by what `write` puts into the file it is given, or leaves it untouched.
 
     The temporary file lies beside the target, so that the final rename stays on one file system

@@ -92,18 +92,18 @@ def body_frames(robot: Robot, q: Sequence[jax.Array]) -> list[tuple[Vector, Matr
     """
     # MuJoCo's bodies lie as the MJCF places them when a joint is at its reference (`ref`).
     reference = robot.mj_model.qpos0.tolist()
-    q = [add(value, -ref) for value, ref in zip(q, reference, strict=True)]
+    values = [add(value, -ref) for value, ref in zip(q, reference, strict=True)]
     frames: list[tuple[Vector, Matrix]] = []
     for body in robot.bodies:
         position, rotation = [0.0, 0.0, 0.0], _IDENTITY
         if body.parent >= 0:
             position, rotation = frames[body.parent]
-        frames.append(_move(body, position, rotation, q))
+        frames.append(_move(body, position, rotation, values))
     return frames
 
 
 def _move(
-    body: Body, position: Vector, rotation: Matrix, q: Sequence[jax.Array]
+    body: Body, position: Vector, rotation: Matrix, q: Sequence[Scalar]
 ) -> tuple[Vector, Matrix]:
     position = transform(position, rotation, _constant(body.position))
     rotation = _matmul(rotation, _constant(body.rotation))

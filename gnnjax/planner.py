@@ -1,31 +1,34 @@
-"""Plans one query: sample a roadmap, search it, certify the path."""
+"""Plans queries: sample a roadmap, search it, certify the path."""
 
 import functools
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from flax import nnx
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from gnnjax.certify import certify_edges, configuration_clearance
+from gnnjax.checkpoint import load_network, shipped_weights
 from gnnjax.collision import Backend, EdgeChecks, boxes_clear, make_checker
 from gnnjax.errors import InputError
 from gnnjax.labels import cost_to_go, edge_validity, next_slots
+from gnnjax.model import GuidanceNetwork
+from gnnjax.problem import Problem
 from gnnjax.roadmap import (
     Roadmap,
-    connect,
-    default_mean_degree,
-    default_slots,
-    node_bucket,
-    radius_for_degree,
+    SampledRoadmap,
+    default_radius,
+    edge_bucket,
     reverse_slots,
+    sample_roadmap,
 )
 from gnnjax.robot import Robot, load_robot
-from gnnjax.sampling import sample_free
 from gnnjax.scene import Scene, is_axis_aligned
 from gnnjax.search import (
     INVALID,
@@ -36,11 +39,12 @@ from gnnjax.search import (
     greedy_search,
     lazy_search,
     learn_edge,
+    network_scorer,
     oracle_scorer,
     unknown_edges,
 )
 
-Method = Literal["distance", "oracle", "prm", "lazysp"]
+Method = Literal["gnn", "distance", "oracle", "prm", "lazysp"]
 
 DEFAULT_MAX_ROADMAPS = 8
 
@@ -62,33 +66,33 @@ class Plan(NamedTuple):
     roadmaps: int  # roadmaps sampled
 
 
-class _Built(NamedTuple):
-    """A roadmap and what sampling it took."""
-
-    roadmap: Roadmap
-    num_checks: Int[Array, ""]
-    num_sampled: Int[Array, ""]
-
-
 def load_planner(
     robot: str | Path,
-    method: Method = "lazysp",
+    method: str = "gnn",
     *,
     num_nodes: int = 200,
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS,
-    backend: Backend = "fused",
+    weights: str | Path | None = None,
+    checker: str = "fused",
 ) -> "Planner":
-    """Loads a robot and makes a planner for it.
+    """Loads a robot, and weights where they are needed, and makes a planner.
 
     Args:
         robot: name of a shipped robot, or path of an MJCF.
-        method: "lazysp" (lazy shortest path), "prm" (all edges checked), "distance" (greedy to the
-            goal) or "oracle" (greedy by the exact cost-to-go: a bound, not a planner).
+        method: "gnn" (greedy by the network's guidance values), "distance" (greedy by the distance
+            to the goal), "lazysp" (lazy shortest path), "prm" (all edges checked) or "oracle"
+            (greedy by the exact cost-to-go: a bound, not a planner).
         num_nodes: nodes of a roadmap, start and goal included.
         max_roadmaps: on failure, sample a new roadmap up to this many times; 1 is the paper's way.
-        backend: collision backend, "fused" or "mjx".
+        weights: checkpoint folder of the network; by default the shipped weights, which were
+            trained on the Kuka and serve any arm of up to seven joints, as in the paper.
+        checker: collision backend, "fused" or "mjx".
     """
-    return Planner(load_robot(robot), method, num_nodes, max_roadmaps, backend)
+    loaded = load_robot(robot)
+    network = None
+    if method == "gnn":
+        network = load_network(shipped_weights() if weights is None else weights)
+    return Planner(loaded, method, num_nodes, max_roadmaps, network=network, checker=checker)
 
 
 class Planner:
@@ -97,21 +101,38 @@ class Planner:
     def __init__(
         self,
         robot: Robot,
-        method: Method = "lazysp",
+        method: str = "lazysp",
         num_nodes: int = 200,
         max_roadmaps: int = DEFAULT_MAX_ROADMAPS,
-        backend: Backend = "fused",
+        *,
+        network: GuidanceNetwork | None = None,
+        checker: str = "fused",
     ):
         if method not in get_args(Method):
             raise InputError(f"no planner {method!r}; there are {list(get_args(Method))}")
+        if checker not in get_args(Backend):
+            raise InputError(f"no checker {checker!r}; there are {list(get_args(Backend))}")
         if num_nodes < 2:
             raise InputError(f"num_nodes is {num_nodes}; a roadmap needs at least start and goal")
         if max_roadmaps < 1:
             raise InputError(f"max_roadmaps is {max_roadmaps}; it must be at least 1")
+        if (method == "gnn") != (network is not None):
+            raise InputError(f"planner {method!r} with network {network}; only 'gnn' takes one")
+        if network is not None and robot.num_dof > network.num_dof:
+            raise InputError(
+                f"the network is made for up to {network.num_dof} joints, {robot.name} has "
+                f"{robot.num_dof}; train one with --num-dof {robot.num_dof}"
+            )
         cache_compilations()
-        self.robot, self.method, self.backend = robot, method, backend
+        self.robot, self.method, self.checker = robot, method, checker
         self.num_nodes, self.max_roadmaps = num_nodes, max_roadmaps
-        self.radius = radius_for_degree(robot, num_nodes, default_mean_degree(num_nodes))
+        self.radius = default_radius(robot, num_nodes)
+        # Apart, so that weights are arguments of the compiled functions and not constants in them.
+        self._graphdef, self._weights = (None, None) if network is None else nnx.split(network)
+
+    def use_weights(self, weights: Any) -> None:
+        """Goes on with other weights of the same network; nothing is compiled again."""
+        self._weights = weights
 
     def plan(self, scene: Scene, start: ArrayLike, goal: ArrayLike, *, seed: int = 0) -> Plan:
         """Finds a certified path from start to goal `[D]`.
@@ -120,48 +141,90 @@ class Planner:
             InputError: start or goal is no valid configuration, or a box stands in the base.
         """
         begin = time.perf_counter()
-        scene = jax.tree.map(jnp.asarray, scene)
-        start, goal = self._check_query(scene, start, goal)
-        build, search = self._functions(is_axis_aligned(scene), scene.mask.shape[-1])
-        # Start and goal were tested too.
-        sampling_checks, edge_checks, search_checks, planning_time = 2, 0, 0, 0.0
-        roadmaps, nodes = 0, np.zeros((0, self.robot.num_dof))
-        for key in jax.random.split(jax.random.key(seed), self.max_roadmaps):
-            roadmaps += 1
-            built = jax.block_until_ready(build(key, scene, start, goal, self.radius))
-            sampling_checks += int(built.num_checks)
-            searched = time.perf_counter()
-            found, nodes = self._search_certified(search, built.roadmap, scene)
-            planning_time += time.perf_counter() - searched
-            edge_checks += int(found.edge_checks)
-            search_checks += int(found.configuration_checks)
-            if len(nodes):
-                break
-        total_time = time.perf_counter() - begin
-        success = len(nodes) > 0
-        cost = float(np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum()) if success else np.inf
-        return Plan(
-            success=success,
-            reason=""
-            if success
-            else f"no path in the {roadmaps} roadmaps tried "
-            f"({self.num_nodes} nodes, radius {self.radius:.2f})",
-            path=nodes,
-            cost=cost,
-            certified=success,
-            edge_checks=edge_checks,
-            configuration_checks=sampling_checks + search_checks,
-            sampling_checks=sampling_checks,
-            search_checks=search_checks,
-            planning_time_s=planning_time,
-            total_time_s=total_time,
-            roadmaps=roadmaps,
-        )
+        start, goal = self.check_query(scene, start, goal)
+        problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
+        plan = self.plan_batch(problems, seed=seed)[0]
+        # What checking the query took belongs to it.
+        return plan._replace(total_time_s=time.perf_counter() - begin)
 
-    def _check_query(self, scene: Scene, start: ArrayLike, goal: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
+        """Plans P problems at once; every plan is what `plan` finds for its problem.
+
+        Times are shared out equally over the problems that were worked on together.
+
+        Args:
+            problems: `[P, ...]`, which `check_query` accepts.
+            seed: of the roadmaps; the same for each problem.
+        """
+        num = len(problems.start)
+        problems = jax.tree.map(jnp.asarray, problems)
+        build, search_weighted, _ = self._functions(
+            is_axis_aligned(problems.scene), problems.scene.mask.shape[-1]
+        )
+        paths: list[np.ndarray | None] = [None] * num
+        # Start and goal were tested too.
+        sampling_checks = np.full(num, 2)
+        edge_checks, search_checks, roadmaps = np.zeros((3, num), int)
+        planning_time, total_time = np.zeros((2, num))
+        active = np.ones(num, bool)
+        for key in jax.random.split(jax.random.key(seed), self.max_roadmaps):
+            share = 1 / active.sum()
+            begin = time.perf_counter()
+            built = jax.block_until_ready(build(key, problems, active))
+            searched = time.perf_counter()
+            search = functools.partial(search_weighted, self._weights)
+            found, walks = self._search_certified(search, built.roadmap, problems.scene, active)
+            end = time.perf_counter()
+            planning_time += np.where(active, (end - searched) * share, 0)
+            total_time += np.where(active, (end - begin) * share, 0)
+            sampling_checks += np.where(active, built.num_checks, 0)
+            edge_checks += found.edge_checks
+            search_checks += found.configuration_checks
+            roadmaps += active
+            for i, walk in walks.items():
+                paths[i] = walk
+                active[i] = False
+            if not active.any():
+                break
+        plans = []
+        for i, path in enumerate(paths):
+            success = path is not None
+            nodes = np.zeros((0, self.robot.num_dof), np.float32) if path is None else path
+            plans.append(
+                Plan(
+                    success=success,
+                    reason=""
+                    if success
+                    else f"no path in the {roadmaps[i]} roadmaps tried "
+                    f"({self.num_nodes} nodes, radius {self.radius:.2f})",
+                    path=nodes,
+                    cost=float(np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum())
+                    if success
+                    else np.inf,
+                    certified=success,
+                    edge_checks=int(edge_checks[i]),
+                    configuration_checks=int(sampling_checks[i] + search_checks[i]),
+                    sampling_checks=int(sampling_checks[i]),
+                    search_checks=int(search_checks[i]),
+                    planning_time_s=float(planning_time[i]),
+                    total_time_s=float(total_time[i]),
+                    roadmaps=int(roadmaps[i]),
+                )
+            )
+        return plans
+
+    def check_query(
+        self, scene: Scene, start: ArrayLike, goal: ArrayLike
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns start and goal as arrays, or says what is wrong with the query.
+
+        Raises:
+            InputError: start or goal is no valid configuration, or a box stands in the base.
+        """
         robot = self.robot
-        home = jnp.asarray(robot.home)
-        clear = np.asarray(boxes_clear(robot, scene, home, base_only=True))
+        scene = jax.tree.map(jnp.asarray, scene)
+        base_clear = self._functions(is_axis_aligned(scene), scene.mask.shape[-1])[2]
+        clear = np.asarray(base_clear(scene))
         if not clear.all():
             raise InputError(
                 f"box {int(np.argmin(clear))} of the scene touches the base of {robot.name}; "
@@ -193,76 +256,115 @@ class Planner:
             ends.append(q)
         return ends[0], ends[1]
 
-    def _search_certified(self, search, roadmap: Roadmap, scene: Scene):
+    def _search_certified(
+        self, search: Callable, roadmaps: Roadmap, scenes: Scene, active: np.ndarray
+    ) -> tuple[SearchResult, dict[int, np.ndarray]]:
         """Searches until a path is certified or there is none; refuted edges are searched around.
 
         Edges already known cost nothing when the search is run again.
+
+        Returns:
+            The last search of each problem with the checks of all of them, and the certified paths.
         """
-        status, reverse = unknown_edges(roadmap), None
-        edge_checks, configuration_checks = 0, 0
+        status = jax.vmap(unknown_edges)(roadmaps)
+        paths: dict[int, np.ndarray] = {}
+        edge_checks, configuration_checks = np.zeros((2, len(active)), int)
+        open_ = active.copy()
         while True:
-            found = jax.block_until_ready(search(roadmap, scene, status))
-            edge_checks += int(found.edge_checks)
-            configuration_checks += int(found.configuration_checks)
-            found = found._replace(
-                edge_checks=edge_checks, configuration_checks=configuration_checks
-            )
-            if not bool(found.success):
-                return found, np.zeros((0, self.robot.num_dof), np.float32)
-            walked = np.asarray(found.path)
-            walked = walked[walked >= 0]
-            nodes = np.asarray(roadmap.nodes)[walked]
-            certified = certify_edges(self.robot, scene, nodes[:-1], nodes[1:])
-            if certified.all():
-                return found, nodes
-            reverse = reverse_slots(roadmap) if reverse is None else reverse
+            found = jax.block_until_ready(search(roadmaps, scenes, status, open_))
             status = found.edge_status
-            for i in np.flatnonzero(~certified):
-                slots = np.asarray(roadmap.neighbors[walked[i]]) == walked[i + 1]
-                slot = jnp.int32(np.argmax(slots))
-                status = learn_edge(status, reverse, jnp.int32(walked[i]), slot, jnp.bool_(False))
+            edge_checks += np.where(open_, found.edge_checks, 0)
+            configuration_checks += np.where(open_, found.configuration_checks, 0)
+            open_ &= np.asarray(found.success)
+            for i in np.flatnonzero(open_):
+                walked = np.asarray(found.path[i])
+                walked = walked[walked >= 0]
+                nodes = np.asarray(roadmaps.nodes[i])[walked]
+                scene, roadmap = (jax.tree.map(lambda x, i=i: x[i], t) for t in (scenes, roadmaps))
+                certified = certify_edges(self.robot, scene, nodes[:-1], nodes[1:])
+                if certified.all():
+                    paths[int(i)] = nodes
+                    open_[i] = False
+                for step in np.flatnonzero(~certified):
+                    status = status.at[i].set(_refute(roadmap, status[i], *walked[step : step + 2]))
+            if not open_.any():
+                checks = {"edge_checks": edge_checks, "configuration_checks": configuration_checks}
+                return found._replace(**checks), paths
 
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
     def _functions(self, axis_aligned: bool, max_boxes: int):
-        """The two jitted halves of a query, for one padding of the scene."""
+        """The jitted halves of a query, and the test of the base, for one padding of the scene."""
         checker = make_checker(
-            self.robot, self.backend, axis_aligned=axis_aligned, max_boxes=max_boxes
+            self.robot, self.checker, axis_aligned=axis_aligned, max_boxes=max_boxes
         )
-        bucket = node_bucket(self.num_nodes)
-        slots = default_slots(bucket)
-        lower, upper = self.robot.joint_lower, self.robot.joint_upper
 
-        def build(
-            key: jax.Array, scene: Scene, start: jax.Array, goal: jax.Array, radius: jax.Array
-        ) -> _Built:
-            samples = sample_free(
+        def build_one(key: jax.Array, problem: Problem) -> SampledRoadmap:
+            check = functools.partial(checker.check_configurations, problem.scene)
+            return sample_roadmap(
                 key,
-                functools.partial(checker.check_configurations, scene),
-                lower,
-                upper,
-                bucket - 2,
-                wanted=self.num_nodes - 2,
-            )
-            nodes = jnp.concatenate([jnp.stack([start, goal]), samples.nodes])
-            mask = jnp.concatenate([jnp.ones(2, bool), samples.mask])
-            roadmap = connect(nodes, mask, radius, slots)
-            return _Built(roadmap, samples.num_checks, samples.mask.sum())
-
-        def search(roadmap: Roadmap, scene: Scene, status: jax.Array) -> SearchResult:
-            return search_roadmap(
-                self.method, roadmap, functools.partial(checker.check_edges, scene), status
+                check,
+                self.robot,
+                problem.start,
+                problem.goal,
+                num_nodes=self.num_nodes,
+                radius=self.radius,
             )
 
-        return jax.jit(build), jax.jit(search)
+        def search_one(weights, roadmap: Roadmap, scene: Scene, status: jax.Array) -> SearchResult:
+            network = None if self._graphdef is None else nnx.merge(self._graphdef, weights)
+            check = functools.partial(checker.check_edges, scene)
+            return search_roadmap(self.method, roadmap, scene, check, network, status)
+
+        @jax.jit
+        def build(key: jax.Array, problems: Problem, active: jax.Array) -> SampledRoadmap:
+            return over_problems(functools.partial(build_one, key), active, problems)
+
+        @jax.jit
+        def search(weights, roadmaps, scenes, status, active) -> SearchResult:
+            one = functools.partial(search_one, weights)
+            return over_problems(one, active, roadmaps, scenes, status)
+
+        base_clear = functools.partial(boxes_clear, self.robot, q=self.robot.home, base_only=True)
+        return build, search, jax.jit(base_clear)
 
 
-def search_roadmap(method: Method, roadmap: Roadmap, check_edges, status: jax.Array):
+def over_problems(function: Callable, active: jax.Array, *args):
+    """Maps `function` over the leading axis of `args`; zeros where not `active`.
+
+    One problem after the other on a CPU, whose cores a single problem keeps busy; side by side on
+    an accelerator.
+    """
+    if jax.default_backend() != "cpu":
+        return jax.vmap(function)(*args)
+    blank = jax.eval_shape(function, *jax.tree.map(lambda x: x[0], args))
+
+    def one(turn):
+        wanted, *own = turn
+        return jax.lax.cond(
+            wanted,
+            lambda: function(*own),
+            lambda: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), blank),
+        )
+
+    return jax.lax.map(one, (active, *args))
+
+
+def search_roadmap(
+    method: Method,
+    roadmap: Roadmap,
+    scene: Scene,
+    check_edges: Callable[[jax.Array, jax.Array], EdgeChecks],
+    network: GuidanceNetwork | None,
+    status: jax.Array,
+) -> SearchResult:
     """Searches one roadmap by a named method.
 
     Args:
         method: see `load_planner`.
         roadmap: one roadmap.
+        scene: what the network sees of the obstacles.
         check_edges: `(starts [E D], ends [E D]) -> EdgeChecks [E]`.
+        network: for the method "gnn".
         status: what is known of its edges.
     """
 
@@ -270,6 +372,11 @@ def search_roadmap(method: Method, roadmap: Roadmap, check_edges, status: jax.Ar
         checks = check_edges(start[None], end[None])
         return EdgeChecks(checks.valid[0], checks.num_checks[0])
 
+    if network is not None:
+        encoding = network.encode(roadmap, scene, edge_bucket(len(roadmap.nodes)))
+        return greedy_search(
+            roadmap, network_scorer(network, encoding, roadmap), check_edge, status
+        )
     if method == "distance":
         return greedy_search(roadmap, distance_scorer(roadmap), check_edge, status)
     if method == "lazysp":
@@ -290,6 +397,12 @@ def search_roadmap(method: Method, roadmap: Roadmap, check_edges, status: jax.Ar
         jnp.where(first, labelled.num_checks, 0),
         jnp.where(usable, VALID, INVALID).astype(jnp.int8),
     )
+
+
+def _refute(roadmap: Roadmap, status: jax.Array, node: int, neighbor: int) -> jax.Array:
+    """Notes that the edge between two neighbours is not valid."""
+    slot = jnp.argmax(roadmap.neighbors[node] == neighbor)
+    return learn_edge(status, reverse_slots(roadmap), jnp.int32(node), slot, jnp.bool_(False))
 
 
 def cache_compilations() -> None:

@@ -161,7 +161,7 @@ def save_shard(
     shards.append({"file": file, "problems": len(problem_set), "sha256": _sha256(folder / file)})
     shards.sort(key=lambda shard: shard["file"])
     text = json.dumps({**origin, "shards": shards}, indent=1) + "\n"
-    atomic_write(folder / MANIFEST, lambda out: out.write_text(text, encoding="utf-8") and None)
+    atomic_write(folder / MANIFEST, lambda out: out.write_text(text, encoding="utf-8"))
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:

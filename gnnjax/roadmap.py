@@ -1,6 +1,7 @@
 """Roadmaps: r-disc random geometric graphs with K slots a node."""
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.robot import Robot
+from gnnjax.sampling import sample_free
 
 # Padded numbers of nodes; one compilation each.
 NODE_BUCKETS = (200, 400, 600, 800, 1000, 1500, 2000, 3000, 5000)
@@ -66,6 +68,11 @@ def radius_for_degree(robot: Robot, num_nodes: int, mean_degree: float) -> float
     return float(np.quantile(distances, min(1.0, mean_degree / max(1, num_nodes - 1))))
 
 
+def default_radius(robot: Robot, num_nodes: int) -> float:
+    """The r-disc radius of the default mean degree, in configuration units."""
+    return radius_for_degree(robot, num_nodes, default_mean_degree(num_nodes))
+
+
 def connect(
     nodes: Float[Array, "N D"],
     node_mask: Bool[Array, " N"],
@@ -105,6 +112,48 @@ def connect(
     )
 
 
+class SampledRoadmap(NamedTuple):
+    """A roadmap and what sampling its nodes cost."""
+
+    roadmap: Roadmap
+    num_checks: Int[Array, "*batch"]  # configurations tested, start and goal apart
+
+
+def sample_roadmap(
+    key: jax.Array,
+    check_configurations: Callable[[jax.Array], jax.Array],
+    robot: Robot,
+    start: Float[Array, " D"],
+    goal: Float[Array, " D"],
+    *,
+    num_nodes: int,
+    radius: float,
+) -> SampledRoadmap:
+    """Samples free configurations uniformly and connects them with the start and the goal.
+
+    Args:
+        key: randomness.
+        check_configurations: `[B D] -> [B]`, true where valid.
+        robot: the arm, for its joint limits.
+        start: node 0.
+        goal: node 1.
+        num_nodes: nodes, start and goal included; arrays are padded to `node_bucket(num_nodes)`.
+        radius: largest length of an edge, configuration units.
+    """
+    padded = node_bucket(num_nodes)
+    samples = sample_free(
+        key,
+        check_configurations,
+        robot.joint_lower,
+        robot.joint_upper,
+        padded - 2,
+        wanted=num_nodes - 2,
+    )
+    nodes = jnp.concatenate([jnp.stack([start, goal]), samples.nodes])
+    mask = jnp.concatenate([jnp.ones(2, bool), samples.mask])
+    return SampledRoadmap(connect(nodes, mask, radius, default_slots(padded)), samples.num_checks)
+
+
 def reverse_slots(roadmap: Roadmap) -> Int[Array, "N K"]:
     """For each slot, the flat index (node * K + slot) of the same edge seen from its other end."""
     num, num_slots = roadmap.neighbors.shape
@@ -114,9 +163,13 @@ def reverse_slots(roadmap: Roadmap) -> Int[Array, "N K"]:
     return roadmap.neighbors * num_slots + slot
 
 
-def edge_bucket(max_edges: int) -> int:
-    """The padded number of directed edges of a graph: the next multiple of 1024."""
-    return -(-max_edges // 1024) * 1024
+def edge_bucket(num_nodes: int) -> int:
+    """The padded number of directed edges of a roadmap with the default mean degree.
+
+    Half as many again as expected, then up to a multiple of 1024.
+    """
+    padded = node_bucket(num_nodes)
+    return 1024 * int(np.ceil(1.5 * padded * default_mean_degree(padded) / 1024))
 
 
 def graphs_tuple(roadmap: Roadmap, max_edges: int) -> jraph.GraphsTuple:

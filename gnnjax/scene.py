@@ -197,7 +197,7 @@ def scene_to_json(scene: Scene, path: str | Path) -> None:
     )
     boxes = [{"center": c, "half_extents": h, "quat": q} for c, h, q in rows]
     text = json.dumps({"boxes": boxes}, indent=1)
-    atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8") and None)
+    atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
 
 
 def sample_scene(

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.collision import EdgeChecks
 from gnnjax.labels import cost_to_go, next_slots
+from gnnjax.model import Encoding, GuidanceNetwork
 from gnnjax.roadmap import Roadmap, reverse_slots
 
 START, GOAL = 0, 1
@@ -66,6 +67,15 @@ def distance_scorer(roadmap: Roadmap) -> Scorer:
 def oracle_scorer(roadmap: Roadmap, cost: Float[Array, " N"]) -> Scorer:
     """Prefers the neighbour on the shortest valid path, given the exact cost-to-go."""
     return static_scorer(lambda node: -(roadmap.lengths[node] + cost[roadmap.neighbors[node]]))
+
+
+def network_scorer(network: GuidanceNetwork, encoding: Encoding, roadmap: Roadmap) -> Scorer:
+    """Prefers what the guidance network does, which remembers the path walked so far."""
+    return Scorer(
+        init=network.init_path,
+        advance=lambda carry, node: network.extend_path(encoding, carry, node),
+        values=lambda carry, node: network.guidance_values(encoding, carry, roadmap, node),
+    )
 
 
 def unknown_edges(roadmap: Roadmap) -> Int8[Array, "N K"]:

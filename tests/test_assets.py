@@ -274,10 +274,7 @@ def test_spheres_enclose_the_hulls(model, hull_model, links):
         assert out <= 0.0002, f"{link.name} sticks out by {1e3 * out:.2f} mm"
         corners = triangles.reshape(-1, 3)
         grid = np.meshgrid(
-            *(
-                np.arange(a, b, 0.005)
-                for a, b in zip(corners.min(0), corners.max(0), strict=True)
-            )
+            *(np.arange(a, b, 0.005) for a, b in zip(corners.min(0), corners.max(0), strict=True))
         )
         inside = np.stack(grid, axis=-1).reshape(-1, 3)
         inside = inside[depth(inside, triangles) > 0]
@@ -298,7 +295,8 @@ def test_spheres_are_few_and_tight(arm, model, hull_model, links):
 
 def test_home_is_free_and_within_limits(model, hull_model, links):
     home = model.key("home").qpos
-    assert (home >= model.jnt_range[:, 0]).all() and (home <= model.jnt_range[:, 1]).all()
+    assert (home >= model.jnt_range[:, 0]).all()
+    assert (home <= model.jnt_range[:, 1]).all()
     np.testing.assert_allclose(model.key("home").ctrl, home)
     data = mujoco.MjData(hull_model)
     mujoco.mj_resetDataKeyframe(hull_model, data, hull_model.key("home").id)

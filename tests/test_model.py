@@ -12,9 +12,12 @@ from scipy.ndimage import correlate
 from scipy.spatial.transform import Rotation
 
 from gnnjax.errors import InputError
-from gnnjax.model import GuidanceNetwork, HalvingConv, occupancy_grid
+from gnnjax.model import GuidanceNetwork
+from gnnjax.occupancy import HalvingConv, occupancy_grid
 from gnnjax.roadmap import Roadmap, graphs_tuple
 from gnnjax.scene import Scene
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 LOWER, UPPER = (-1.2, -1.2, -0.4), (1.2, 1.2, 1.6)
 WALK = [0, 3, 5, 2, 3, 7, 4, 9]  # longer than the memory of the model under test
@@ -112,14 +115,6 @@ def make_model(extended: bool):
         walk=jax.jit(walk),
         values=jax.jit(values),
     )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick_compilation():
-    """These tests compile much and compute little."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")

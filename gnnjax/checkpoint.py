@@ -1,0 +1,176 @@
+"""Weights on disk: an Orbax folder with the network's weights, and how they came about.
+
+A checkpoint of a training run has the same form, with the state of the optimizer beside the
+weights, so that either can be planned with.
+"""
+
+import importlib.metadata
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import orbax.checkpoint as ocp
+from flax import nnx
+
+from gnnjax.errors import InputError
+from gnnjax.model import GuidanceNetwork
+
+# Of what is stored; raised when an older reader could no longer make sense of it.
+FORMAT = 1
+
+
+def shipped_weights() -> Path:
+    """The folder of the weights that come with the package."""
+    return Path(__file__).parent / "weights" / "kuka_iiwa14"
+
+
+def metadata(network: GuidanceNetwork, training: dict[str, Any]) -> dict[str, Any]:
+    """What a checkpoint says of itself: enough to rebuild the network without being told anything.
+
+    Args:
+        network: whose constructor arguments are kept.
+        training: the configuration of the run, as JSON.
+    """
+    version = importlib.metadata.version("gnnjax")
+    return {"format": FORMAT, "version": version, "model": network.config, "training": training}
+
+
+def save_network(folder: str | Path, network: GuidanceNetwork, training: dict[str, Any]) -> None:
+    """Writes the weights of a network; replaces the folder only when all is written.
+
+    Args:
+        folder: of the checkpoint.
+        network: what to keep.
+        training: the configuration of the run and its results, as JSON.
+    """
+    with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
+        checkpointer.save(
+            Path(folder).resolve(),
+            args=ocp.args.Composite(
+                weights=ocp.args.StandardSave(nnx.state(network, nnx.Param).to_pure_dict()),
+                meta=ocp.args.JsonSave(metadata(network, training)),
+            ),
+            force=True,
+        )
+
+
+def read_metadata(folder: str | Path) -> dict[str, Any]:
+    """Reads and checks what a checkpoint says of itself.
+
+    Raises:
+        InputError: no checkpoint, a damaged one, or one of another format.
+    """
+    folder = Path(folder).resolve()
+    if not folder.is_dir():
+        raise InputError(f"no checkpoint folder {str(folder)!r}; train one: python -m gnnjax.train")
+    meta = _restore(folder, meta=ocp.args.JsonRestore())["meta"]
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        found = meta.get("format") if isinstance(meta, dict) else meta
+        version = meta.get("version", "unknown") if isinstance(meta, dict) else "unknown"
+        raise InputError(
+            f"checkpoint {str(folder)!r} has format {found!r} (gnnjax {version}), this version "
+            f"reads format {FORMAT}; train again, or install the version that wrote it"
+        )
+    return meta
+
+
+def load_network(folder: str | Path) -> GuidanceNetwork:
+    """Rebuilds a network from its checkpoint.
+
+    Raises:
+        InputError: no checkpoint, a damaged one, or one of another format.
+    """
+    folder = Path(folder).resolve()
+    meta = read_metadata(folder)
+    try:
+        network = GuidanceNetwork(**meta["model"], rngs=nnx.Rngs(0))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"checkpoint {str(folder)!r} describes no network of this version ({error}); train again"
+        ) from None
+    blank = nnx.state(network, nnx.Param)
+    shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, blank.to_pure_dict())
+    weights = _restore(folder, weights=ocp.args.StandardRestore(shapes))["weights"]
+    blank.replace_by_pure_dict(weights)
+    nnx.update(network, blank)
+    return network
+
+
+class TrainingCheckpoints:
+    """The checkpoints of a training run, one folder an epoch; the last two are kept.
+
+    Args:
+        folder: made if missing.
+        network: of the run, for its description.
+        settings: of the run, as JSON; a run goes on only with the same ones.
+    """
+
+    def __init__(self, folder: str | Path, network: GuidanceNetwork, settings: dict[str, Any]):
+        self.folder = Path(folder).resolve()
+        self._meta = metadata(network, settings)
+        options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)
+        self._manager = ocp.CheckpointManager(self.folder, options=options)
+
+    def __enter__(self) -> "TrainingCheckpoints":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._manager.close()
+
+    def latest(self) -> int | None:
+        """The epoch of the last checkpoint."""
+        return self._manager.latest_step()
+
+    def save(self, epoch: int, state: Any) -> None:
+        """Writes `state` (weights, optimizer) after an epoch."""
+        items = ocp.args.Composite(
+            weights=ocp.args.StandardSave(state.weights.to_pure_dict()),
+            optimizer=ocp.args.StandardSave(jax.tree.leaves(state.optimizer)),
+            meta=ocp.args.JsonSave(self._meta),
+        )
+        self._manager.save(epoch, args=items, force=True)
+
+    def restore(self, state: Any) -> tuple[int, Any]:
+        """The last epoch written, and `state` as it was then.
+
+        Raises:
+            InputError: there is none, it is damaged, or it is of a run with other settings.
+        """
+        epoch = self.latest()
+        if epoch is None:
+            raise InputError(f"no checkpoint in {str(self.folder)!r}; start without --resume")
+        folder = self.folder / str(epoch)
+        meta = read_metadata(folder)
+        ours, theirs = json.loads(json.dumps(self._meta["training"])), meta["training"]
+        for name in sorted(ours.keys() | theirs.keys()):
+            if ours.get(name) != theirs.get(name):
+                raise InputError(
+                    f"the run in {str(self.folder)!r} has {name} {theirs.get(name)!r}, not "
+                    f"{ours.get(name)!r}; go on with the same settings"
+                )
+        weights, optimizer = state.weights.to_pure_dict(), jax.tree.leaves(state.optimizer)
+        shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, (weights, optimizer))
+        items = _restore(
+            folder,
+            weights=ocp.args.StandardRestore(shapes[0]),
+            optimizer=ocp.args.StandardRestore(shapes[1]),
+        )
+        structure = jax.tree.structure(state.optimizer)
+        restored = jax.tree.map(lambda x: x, state.weights)
+        restored.replace_by_pure_dict(items["weights"])
+        return epoch, state._replace(
+            weights=restored, optimizer=jax.tree.unflatten(structure, items["optimizer"])
+        )
+
+
+def _restore(folder: Path, **items: Any) -> Any:
+    try:
+        with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
+            return checkpointer.restore(folder, args=ocp.args.Composite(**items))
+    except Exception as error:  # a damaged folder raises nearly anything
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"checkpoint {str(folder)!r} is damaged or no checkpoint ({reason}); "
+            "train again, or copy it anew"
+        ) from None

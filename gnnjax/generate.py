@@ -1,0 +1,218 @@
+"""Generates problem sets, with roadmaps and labels for training.
+
+python -m gnnjax.generate --split train   # the paper's 3,000 problems, roadmaps and labels
+python -m gnnjax.generate --split test    # the paper's 300 test problems
+"""
+
+import dataclasses
+import functools
+import shutil
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import jax
+import numpy as np
+import tyro
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from gnnjax.collision import Backend, boxes_clear, make_checker
+from gnnjax.errors import InputError, run_command
+from gnnjax.labels import Labels, edge_validity, label_roadmap
+from gnnjax.planner import cache_compilations, over_problems
+from gnnjax.problem import (
+    MANIFEST,
+    Problem,
+    ProblemSet,
+    load_problems,
+    read_manifest,
+    sample_problem,
+    save_problems,
+    save_shard,
+)
+from gnnjax.roadmap import Roadmap, default_radius, sample_roadmap
+from gnnjax.robot import Robot, load_robot
+from gnnjax.scene import BOX_BUCKETS
+
+Split = Literal["train", "validation", "test"]
+
+# Sizes of the paper's sets, and what keeps the sets of one seed apart.
+_SPLITS = {"train": (0, 3000), "validation": (1, 100), "test": (2, 300)}
+
+
+@dataclasses.dataclass(frozen=True)
+class GenerateConfig:
+    """Draw problems of the paper's distribution; for training also their roadmaps and labels."""
+
+    split: Split = "train"
+    """Which set; their problems never coincide."""
+    robot: str = "kuka_iiwa14"
+    """Shipped robot, or path of an MJCF."""
+    num_problems: int | None = None
+    """Problems; by default 3,000 for train, 100 for validation and 300 for test."""
+    num_nodes: int | None = None
+    """Nodes of the roadmaps; 0 for problems alone. By default 200, and 0 for test."""
+    seed: int = 0
+    """Of the whole set."""
+    out: Path | None = None
+    """A folder of shards, or a file ending in .npz. By default data/ROBOT_SPLIT (test: .npz)."""
+    shard_size: int = 100
+    """Problems that are drawn, labelled and written at once."""
+    checker: Backend = "fused"
+    """Collision backend."""
+
+
+class LabelledRoadmap(NamedTuple):
+    """What a network learns from: a problem, one roadmap of it, and its labels."""
+
+    problem: Problem
+    roadmap: Roadmap
+    labels: Labels
+
+
+def generate_labelled(
+    robot: Robot, num_nodes: int, checker: Backend = "fused"
+) -> "jax.stages.Wrapped":
+    """Makes the jitted function `keys [P] -> LabelledRoadmap [P]`, or `Problem [P]` for 0 nodes."""
+    check = make_checker(robot, checker, axis_aligned=True, max_boxes=BOX_BUCKETS[0])
+    # Every arm's q = 0 stands upright in the paper; the scene leaves it clear.
+    zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
+
+    def draw(key: jax.Array) -> Problem:
+        clear = functools.partial(boxes_clear, robot, q=jax.numpy.asarray(zero))
+        return sample_problem(key, robot, check.check_configurations, clear)
+
+    def label(key: jax.Array, problem: Problem) -> LabelledRoadmap:
+        sampled = sample_roadmap(
+            key,
+            functools.partial(check.check_configurations, problem.scene),
+            robot,
+            problem.start,
+            problem.goal,
+            num_nodes=num_nodes,
+            radius=default_radius(robot, num_nodes),
+        )
+        edges = functools.partial(check.check_edges, problem.scene)
+        valid = edge_validity(sampled.roadmap, edges).edge_valid
+        return LabelledRoadmap(problem, sampled.roadmap, label_roadmap(sampled.roadmap, valid))
+
+    def one(key: jax.Array) -> Problem | LabelledRoadmap:
+        problem_key, roadmap_key = jax.random.split(key)
+        problem = draw(problem_key)
+        return label(roadmap_key, problem) if num_nodes else problem
+
+    @jax.jit
+    def generate(keys: jax.Array) -> Problem | LabelledRoadmap:
+        return over_problems(one, np.ones(len(keys), bool), keys)
+
+    return generate
+
+
+def problem_keys(seed: int, split: Split, first: int, num: int) -> jax.Array:
+    """The keys of problems `first` to `first + num` of a split; the size of the set is no part."""
+    key = jax.random.fold_in(jax.random.key(seed), _SPLITS[split][0])
+    return jax.vmap(functools.partial(jax.random.fold_in, key))(np.arange(first, first + num))
+
+
+def to_problem_set(robot: Robot, drawn: Problem | LabelledRoadmap) -> ProblemSet:
+    """Arrays as they go to disk: indices and masks in as few bits as they need."""
+    drawn = jax.tree.map(np.asarray, drawn)
+    if isinstance(drawn, Problem):
+        return ProblemSet(robot.name, drawn)
+    roadmap, labels = drawn.roadmap, drawn.labels
+    extras = {
+        "roadmap_nodes": roadmap.nodes,
+        "roadmap_node_mask": roadmap.node_mask,
+        "roadmap_neighbors": roadmap.neighbors.astype(np.uint16),
+        "roadmap_neighbor_mask": roadmap.neighbor_mask,
+        "roadmap_lengths": roadmap.lengths,
+        "roadmap_num_dropped": roadmap.num_dropped,
+        "label_edge_valid": labels.edge_valid,
+        "label_cost_to_go": labels.cost_to_go,
+        "label_next_node": labels.next_node.astype(np.int16),
+    }
+    return ProblemSet(robot.name, drawn.problem, extras)
+
+
+def from_problem_set(problems: ProblemSet) -> LabelledRoadmap:
+    """The roadmaps and labels of a set that was generated with them, as NumPy arrays.
+
+    Raises:
+        InputError: the set has none.
+    """
+    extras = problems.extras
+    missing = [
+        name
+        for prefix, kind in (("roadmap", Roadmap), ("label", Labels))
+        for name in (f"{prefix}_{field}" for field in kind._fields)
+        if name not in extras
+    ]
+    if missing:
+        raise InputError(
+            f"the problem set lacks the roadmaps or labels {missing}; generate it with --num-nodes"
+        )
+    roadmap = Roadmap(**{name: extras[f"roadmap_{name}"] for name in Roadmap._fields})
+    labels = Labels(**{name: extras[f"label_{name}"] for name in Labels._fields})
+    return LabelledRoadmap(
+        problems.problems,
+        roadmap._replace(neighbors=roadmap.neighbors.astype(np.int32)),
+        labels._replace(next_node=labels.next_node.astype(np.int32)),
+    )
+
+
+def generate(config: GenerateConfig) -> Path:
+    """Draws what is missing of a set, shard by shard, and returns where it is."""
+    robot = load_robot(config.robot)
+    num = _SPLITS[config.split][1] if config.num_problems is None else config.num_problems
+    nodes = (0 if config.split == "test" else 200) if config.num_nodes is None else config.num_nodes
+    if num < 1 or config.shard_size < 1:
+        raise InputError(
+            f"num_problems is {num} and shard_size {config.shard_size}; both must be at least 1"
+        )
+    if not 0 <= nodes <= 32767 or nodes in (1, 2):
+        raise InputError(f"num_nodes is {nodes}; give 0 for problems alone, or 3 to 32767")
+    default = (
+        Path("data") / f"{robot.name}_{config.split}{'.npz' if config.split == 'test' else ''}"
+    )
+    out = default if config.out is None else config.out
+    one_file = out.suffix == ".npz"
+    if one_file and out.exists():
+        raise InputError(f"{str(out)!r} exists; remove it, or choose another --out")
+    folder = out.with_suffix(".parts") if one_file else out
+    settings = {
+        "split": config.split,
+        "num_nodes": nodes,
+        "shard_size": config.shard_size,
+        "checker": config.checker,
+    }
+    _draw_shards(robot, folder, num, settings, config.seed)
+    if one_file:
+        save_problems(out, load_problems(folder, robot))
+        shutil.rmtree(folder)
+    print(f"{num} problems in {out}")
+    return out
+
+
+def _draw_shards(robot: Robot, folder: Path, num: int, settings: dict[str, Any], seed: int) -> None:
+    """Goes on where the folder's manifest ends."""
+    cache_compilations()
+    size = settings["shard_size"]
+    done = {}
+    if (folder / MANIFEST).exists():
+        done = {shard["file"]: shard["problems"] for shard in read_manifest(folder)["shards"]}
+    draw = generate_labelled(robot, settings["num_nodes"], settings["checker"])
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with Progress(*columns, TimeRemainingColumn()) as progress:
+        task = progress.add_task("compiling and drawing", total=num)
+        for index, first in enumerate(range(0, num, size)):
+            wanted = min(size, num - first)
+            if done.get(f"shard_{index:05d}.npz") != wanted:
+                # Whole shards, also at the end: one compilation, and the same problems.
+                drawn = draw(problem_keys(seed, settings["split"], first, size))
+                drawn = jax.tree.map(lambda x, n=wanted: np.asarray(x)[:n], drawn)
+                problems = to_problem_set(robot, drawn)
+                save_shard(folder, index, problems, seed=seed, settings=settings)
+            progress.update(task, advance=wanted)
+
+
+if __name__ == "__main__":
+    run_command(lambda: generate(tyro.cli(GenerateConfig)) and None)

@@ -1,0 +1,286 @@
+"""Trains the guidance network: `python -m gnnjax.train --data data/kuka_iiwa14_train`.
+
+The preset `paper` learns as Diao, Chi and Wang do: walk k ~ U{1..10} steps with the network, then
+learn the next node of the shortest path from the node reached. The default preset learns from every
+step of the walk and from every node of the roadmap, and with a second head which edges are valid.
+"""
+
+import argparse
+import dataclasses
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import tyro
+from flax import nnx
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from tensorboardX import SummaryWriter
+
+from gnnjax.checkpoint import TrainingCheckpoints, save_network
+from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled, problem_keys
+from gnnjax.losses import graph_losses
+from gnnjax.model import GuidanceNetwork
+from gnnjax.planner import Planner, cache_compilations
+from gnnjax.problem import Problem, load_problems
+from gnnjax.robot import load_robot
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """Train a guidance network on a set of labelled roadmaps."""
+
+    preset: str = "default"
+    """Where all other options start from: default, paper or smoke."""
+    data: Path = Path("data/kuka_iiwa14_train")
+    """Folder or .npz made by `python -m gnnjax.generate`."""
+    robot: str = "kuka_iiwa14"
+    """The arm of the problems."""
+    out: Path = Path("runs/kuka_iiwa14")
+    """Checkpoints, logs and, at the end, the weights go here."""
+    resume: bool = False
+    """Go on from the last checkpoint in `out`."""
+    seed: int = 0
+    """Of the weights, the order of the data and the walks."""
+
+    epochs: int = 40
+    """Passes over the data."""
+    batch_size: int = 16
+    """Roadmaps a step."""
+    optimizer: Literal["adamw", "sgd"] = "adamw"
+    """AdamW warms up and decays by a cosine; SGD has a constant rate."""
+    learning_rate: float = 3e-3
+    """Peak rate."""
+    weight_decay: float = 1e-3
+    """Of all weights."""
+    max_walk: int = 10
+    """Longest walk; its length is uniform from 1 to this."""
+    every_step: bool = True
+    """Learn from every step of the walk, not from its last alone."""
+    all_nodes: bool = True
+    """Learn from every node of the roadmap, too, as if the walk began there."""
+    temperature: float = 0.15
+    """Softness of the labels, in rad of detour; 0 names the best neighbor alone."""
+    validity_weight: float = 0.3
+    """Weight of learning which edges are valid; 0 for no such head."""
+    geometric_features: bool = True
+    """See `GuidanceNetwork`."""
+    num_dof: int = 7
+    """See `GuidanceNetwork`."""
+    channels: int = 32
+    """See `GuidanceNetwork`."""
+
+    validate_every: int = 5
+    """Epochs between validations, which plan, and checkpoints."""
+    validation_problems: int = 100
+    """Problems to plan; drawn apart from all others."""
+
+
+PRESETS = {
+    "default": TrainConfig(),
+    "paper": TrainConfig(
+        preset="paper",
+        out=Path("runs/kuka_iiwa14_paper"),
+        batch_size=1,
+        optimizer="sgd",
+        learning_rate=1e-3,
+        every_step=False,
+        all_nodes=False,
+        temperature=0.0,
+        validity_weight=0.0,
+        geometric_features=False,
+    ),
+    # A tiny network for a few steps, to see that everything runs.
+    "smoke": TrainConfig(
+        preset="smoke",
+        out=Path("runs/smoke"),
+        epochs=2,
+        batch_size=4,
+        channels=8,
+        validate_every=1,
+        validation_problems=4,
+    ),
+}
+
+
+class TrainState(NamedTuple):
+    """All that changes while training; a checkpoint holds it."""
+
+    weights: Any
+    optimizer: optax.OptState
+
+
+def make_optimizer(config: TrainConfig, num_steps: int) -> optax.GradientTransformation:
+    """The optimizer of a run of `num_steps` steps."""
+    if config.optimizer == "sgd":
+        decay = optax.add_decayed_weights(config.weight_decay)
+        return optax.chain(decay, optax.sgd(config.learning_rate))
+    warmup = min(200, num_steps // 10 + 1)
+    rate = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warmup, num_steps)
+    return optax.chain(
+        optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=config.weight_decay)
+    )
+
+
+def make_step(
+    graphdef: Any, optimizer: optax.GradientTransformation, config: TrainConfig
+) -> Callable[[TrainState, LabelledRoadmap, jax.Array], tuple[TrainState, dict[str, jax.Array]]]:
+    """The jitted step: one batch of roadmaps, gradients added graph by graph."""
+
+    def loss(weights: Any, data: LabelledRoadmap, key: jax.Array):
+        losses = graph_losses(nnx.merge(graphdef, weights), data, key, config)
+        return losses["loss"], losses
+
+    gradient_of = jax.value_and_grad(loss, has_aux=True)
+
+    @jax.jit
+    def step(state: TrainState, data: LabelledRoadmap, keys: jax.Array):
+        def add(total, graph):
+            (_, losses), gradient = gradient_of(state.weights, *graph)
+            return jax.tree.map(jnp.add, total, (losses, gradient)), None
+
+        # On a CPU one graph after the other is twice as fast as side by side.
+        graphs = (data, keys)
+        first = jax.tree.map(lambda x: x[0], graphs)
+        (_, losses), gradient = jax.eval_shape(gradient_of, state.weights, *first)
+        zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), (losses, gradient))
+        total, _ = jax.lax.scan(add, zeros, graphs)
+        losses, gradient = jax.tree.map(lambda x: x / len(keys), total)
+        updates, optimizer_state = optimizer.update(gradient, state.optimizer, state.weights)
+        return TrainState(optax.apply_updates(state.weights, updates), optimizer_state), losses
+
+    return step
+
+
+def validate(planner: Planner, problems: Problem) -> dict[str, float]:
+    """Plans problems once each, as in the paper: one roadmap, no second try."""
+    plans = planner.plan_batch(problems)
+    return {
+        "success": float(np.mean([plan.success for plan in plans])),
+        "edge_checks": float(np.mean([plan.edge_checks for plan in plans])),
+        "cost": float(np.mean([plan.cost for plan in plans if plan.success] or [np.nan])),
+    }
+
+
+def train(config: TrainConfig) -> Path:
+    """Trains and returns the folder of the weights.
+
+    The order of the data and the walks depend on seed and epoch alone, so that a run that was cut
+    off and resumed comes to the same numbers.
+    """
+    cache_compilations()
+    robot = load_robot(config.robot)
+    data = from_problem_set(load_problems(config.data, robot))
+    num = len(data.problem.start)
+    if not 1 <= config.batch_size <= num:
+        raise InputError(f"batch_size is {config.batch_size}; choose 1 to {num}, the roadmaps")
+    steps_an_epoch = num // config.batch_size
+    num_steps = config.epochs * steps_an_epoch
+    network = GuidanceNetwork(
+        num_dof=config.num_dof,
+        channels=config.channels,
+        geometric_features=config.geometric_features,
+        validity_head=config.validity_weight > 0,
+        rngs=nnx.Rngs(config.seed),
+    )
+    num_nodes = int(data.roadmap.node_mask.sum(axis=1).max())
+    planner = Planner(robot, "gnn", num_nodes, max_roadmaps=1, network=network)
+    validation = generate_labelled(robot, 0)(
+        problem_keys(config.seed, "validation", 0, config.validation_problems)
+    )
+    graphdef, weights = nnx.split(network)
+    optimizer = make_optimizer(config, num_steps)
+    step = make_step(graphdef, optimizer, config)
+    state = TrainState(weights, optimizer.init(weights))
+
+    checkpoints = TrainingCheckpoints(config.out / "checkpoints", network, _settings(config))
+    first_epoch = 0
+    if config.resume:
+        first_epoch, state = checkpoints.restore(state)
+    elif checkpoints.latest() is not None:
+        raise InputError(
+            f"{str(config.out)!r} holds a run already; add --resume to go on with it, or choose "
+            "another --out"
+        )
+    log = config.out / "log.jsonl"
+    records = [] if first_epoch == 0 else _read_log(log, first_epoch)
+    writer = SummaryWriter(str(config.out / "tensorboard"))
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with checkpoints, writer, Progress(*columns, TimeRemainingColumn()) as progress:
+        bar = progress.add_task(
+            "compiling", total=num_steps, completed=first_epoch * steps_an_epoch
+        )
+        for epoch in range(first_epoch, config.epochs):
+            begin, sums = time.perf_counter(), {}
+            key = jax.random.fold_in(jax.random.key(config.seed), epoch)
+            order_key, walk_key = jax.random.split(key)
+            order = np.asarray(jax.random.permutation(order_key, num))
+            for i in range(steps_an_epoch):
+                rows = order[i * config.batch_size : (i + 1) * config.batch_size]
+                batch = jax.tree.map(lambda x, rows=rows: x[rows], data)
+                keys = jax.random.split(jax.random.fold_in(walk_key, i), len(rows))
+                state, losses = step(state, batch, keys)
+                sums = jax.tree.map(jnp.add, sums, losses) if sums else losses
+                progress.update(bar, advance=1, description=f"epoch {epoch + 1}")
+            record: dict[str, float] = {"epoch": epoch + 1}
+            record |= {name: float(x) / steps_an_epoch for name, x in sums.items()}
+            record["seconds"] = time.perf_counter() - begin
+            last = epoch + 1 == config.epochs
+            if last or (epoch + 1) % config.validate_every == 0:
+                planner.use_weights(state.weights)
+                found = validate(planner, validation)
+                record |= {f"validation_{name}": value for name, value in found.items()}
+                checkpoints.save(epoch + 1, state)
+                progress.console.print(
+                    f"epoch {epoch + 1}: loss {record['loss']:.3f}, validation success "
+                    f"{found['success']:.2f}, {found['edge_checks']:.1f} edge checks"
+                )
+            records.append(record)
+            _write_log(log, records)
+            for name, value in record.items():
+                writer.add_scalar(name, value, (epoch + 1) * steps_an_epoch)
+    nnx.update(network, state.weights)
+    save_network(config.out / "weights", network, {**_settings(config), "log": records[-1:]})
+    print(f"weights in {config.out / 'weights'}")
+    return config.out / "weights"
+
+
+def _settings(config: TrainConfig) -> dict[str, Any]:
+    """The configuration as JSON, without what may differ when a run goes on."""
+    settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+    del settings["resume"], settings["out"]
+    return settings
+
+
+def _write_log(path: Path, records: list[dict[str, float]]) -> None:
+    text = "".join(json.dumps(record) + "\n" for record in records)
+    atomic_write(path, lambda file: file.write_text(text, encoding="utf-8"))
+
+
+def _read_log(path: Path, epochs: int) -> list[dict[str, float]]:
+    """The records up to the checkpoint that a run goes on from."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines[:epochs]]
+
+
+def parse() -> TrainConfig:
+    """Reads the command line; `--preset` says what the other options start from."""
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument("--preset", choices=list(PRESETS), default="default")
+    preset = parser.parse_known_args()[0].preset
+    return tyro.cli(TrainConfig, default=PRESETS[preset])
+
+
+def main() -> None:
+    """Trains what the command line asks for."""
+    train(parse())
+
+
+if __name__ == "__main__":
+    run_command(main)
