@@ -87,7 +87,8 @@ def load_network(folder: str | Path) -> GuidanceNetwork:
         network = GuidanceNetwork(**meta["model"], rngs=nnx.Rngs(0))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"checkpoint {str(folder)!r} describes no network of this version ({error}); train again"
+            f"checkpoint {str(folder)!r} describes no network of this version ({error}); "
+            "train again"
         ) from None
     blank = nnx.state(network, nnx.Param)
     shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, blank.to_pure_dict())

@@ -28,12 +28,14 @@ class PlanConfig:
     """Where the path goes: arrays path [L, D], scene boxes and counts."""
     image: Path | None = None
     """Where a picture of the path goes (needs the viz extra)."""
-    planner: Method = "lazysp"
+    planner: Method = "gnn"
     """How the roadmap is searched."""
     num_nodes: int = 200
     """Nodes of a roadmap."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up."""
+    weights: Path | None = None
+    """Checkpoint of the network; by default the shipped one."""
     checker: Backend = "fused"
     """Collision backend."""
     seed: int = 0
@@ -48,7 +50,8 @@ def main(config: PlanConfig) -> int:
         config.planner,
         num_nodes=config.num_nodes,
         max_roadmaps=config.max_roadmaps,
-        backend=config.checker,
+        weights=config.weights,
+        checker=config.checker,
     )
     draw = None
     if config.image is not None:  # before planning: a missing extra should not cost the plan

@@ -1,0 +1,331 @@
+"""Plans all problems of a set and sums up: success, checks, times and costs.
+
+    python -m gnnjax.evaluate --problems data/kuka_iiwa14_test.npz --planner gnn --json gnn.json
+
+Results are written as they come; the same command goes on where it was cut off.
+"""
+
+import dataclasses
+import functools
+import importlib.metadata
+import json
+import os
+import platform
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from gnnjax.collision import Backend, make_checker
+from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Method, Plan, Planner, load_planner
+from gnnjax.problem import Problem, ProblemSet, load_problems
+from gnnjax.scene import is_axis_aligned
+
+# Of the result files; raised when what they hold changes its meaning.
+FORMAT = 1
+
+_WRITE_EVERY_S = 1.0
+
+# What is summed up over problems, and whether problems without a path count.
+_QUANTITIES = {
+    "edge_checks": True,
+    "configuration_checks": True,
+    "sampling_checks": True,
+    "search_checks": True,
+    "planning_time_s": True,
+    "total_time_s": True,
+    "cost": False,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class EvaluateConfig:
+    """Plan every problem of a set and write results and a summary as JSON."""
+
+    problems: Path
+    """An .npz of problems, or a folder of shards."""
+    json: Path
+    """Where results go; goes on with what is there if it has the same settings."""
+    robot: str = "kuka_iiwa14"
+    """Shipped robot, or path of an MJCF."""
+    planner: Method = "gnn"
+    """How roadmaps are searched."""
+    num_nodes: int = 200
+    """Nodes of a roadmap."""
+    max_roadmaps: int = DEFAULT_MAX_ROADMAPS
+    """Roadmaps to try before giving up; 1 is the paper's algorithm."""
+    num_problems: int | None = None
+    """Only the first so many problems."""
+    batch_size: int = 1
+    """Problems planned at once. With 1, times are those of single queries; with more, the shares of
+    each problem in its batch."""
+    weights: Path | None = None
+    """Checkpoint of the network; by default the shipped one."""
+    checker: Backend = "fused"
+    """Collision backend."""
+    seed: int = 0
+    """Of the roadmaps."""
+
+
+def evaluate(config: EvaluateConfig) -> dict[str, Any]:
+    """Plans what is missing of a set's results, and returns them all as they are in the file."""
+    if config.batch_size < 1 or (config.num_problems is not None and config.num_problems < 1):
+        raise InputError(
+            f"batch_size is {config.batch_size}, num_problems {config.num_problems}; "
+            "both must be at least 1"
+        )
+    planner = load_planner(
+        config.robot,
+        config.planner,
+        num_nodes=config.num_nodes,
+        max_roadmaps=config.max_roadmaps,
+        weights=config.weights,
+        checker=config.checker,
+    )
+    problems = load_problems(config.problems, planner.robot).take(slice(config.num_problems))
+    settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+    del settings["json"]
+    settings |= {"num_problems": len(problems), "radius": planner.radius}
+    results = {
+        "format": FORMAT,
+        "complete": False,
+        "settings": settings,
+        "machine": describe_machine(),
+        "summary": {},
+        "problems": _earlier_results(config.json, settings),
+    }
+    if len(results["problems"]) < len(problems):
+        # Seen now rather than after the first problems: a path that cannot be written.
+        _write(config.json, results)
+        _plan_missing(planner, problems, results, config)
+    results["summary"], results["complete"] = summarize(results["problems"]), True
+    _write(config.json, results)
+    return results
+
+
+def _plan_missing(
+    planner: Planner, problems: ProblemSet, results: dict[str, Any], config: EvaluateConfig
+) -> None:
+    rows = results["problems"]
+    blocked = straight_line_blocked(planner, problems.problems)
+    num, size = len(problems), config.batch_size
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with Progress(*columns, TimeRemainingColumn()) as progress:
+        task = progress.add_task("compiling", total=num, completed=len(rows))
+        written, warm = time.monotonic(), False
+        for first in range(len(rows), num, size):
+            batch = range(first, min(first + size, num))
+            reasons: dict[int, str] = {}
+            checking = np.zeros(num)
+            for i in batch:
+                start, goal, scene = jax.tree.map(lambda x, i=i: x[i], problems.problems)
+                begin = time.perf_counter()
+                try:
+                    planner.check_query(scene, start, goal)
+                except InputError as error:
+                    reasons[i] = str(error)
+                checking[i] = time.perf_counter() - begin
+            valid = [i for i in batch if i not in reasons]
+            plans: dict[int, Plan] = {}
+            if valid:
+                # Whole batches, so that nothing is compiled again.
+                padded = np.array((valid + [valid[0]] * size)[:size])
+                queries = jax.tree.map(lambda x, at=padded: x[at], problems.problems)
+                if not warm:
+                    planner.plan_batch(queries, seed=config.seed)
+                    warm = True
+                made = planner.plan_batch(queries, seed=config.seed)
+                plans = dict(zip(valid, made, strict=False))
+            for i in batch:
+                hard = bool(blocked[i])
+                rows.append(_row(i, plans.get(i), reasons.get(i, ""), hard, checking[i]))
+            progress.update(task, completed=len(rows), description=config.planner)
+            if time.monotonic() - written > _WRITE_EVERY_S:
+                _write(config.json, results)
+                written = time.monotonic()
+
+
+def _row(index: int, plan: Plan | None, invalid: str, hard: bool, checking: float) -> dict:
+    """The result of one problem; `plan` is None for an invalid problem."""
+    if plan is None:
+        zeros = {name: 0 for name in _QUANTITIES if name != "cost"}
+        return {
+            "index": index,
+            "valid": False,
+            "hard": hard,
+            "success": False,
+            "reason": f"invalid problem: {invalid}",
+            "path": [],
+            "cost": None,
+            "certified": False,
+            "roadmaps": 0,
+            **zeros,
+        }
+    row = {"index": index, "valid": True, "hard": hard, **plan._asdict()}
+    row["path"] = plan.path.astype(float).tolist()
+    row["cost"] = plan.cost if plan.success else None  # JSON has no infinity
+    row["total_time_s"] = plan.total_time_s + checking
+    return row
+
+
+def straight_line_blocked(planner: Planner, problems: Problem) -> np.ndarray:
+    """Tells for each problem whether the straight line from start to goal is blocked: the hard
+    ones."""
+    checker = make_checker(
+        planner.robot,
+        planner.checker,
+        axis_aligned=is_axis_aligned(problems.scene),
+        max_boxes=problems.scene.mask.shape[-1],
+    )
+
+    @jax.jit
+    def blocked(problems: Problem) -> jax.Array:
+        def one(problem: Problem) -> jax.Array:
+            ends = problem.start[None], problem.goal[None]
+            return ~checker.check_edges(problem.scene, *ends).valid[0]
+
+        return jax.lax.map(one, problems)
+
+    return np.asarray(blocked(jax.tree.map(jnp.asarray, problems)))
+
+
+def summarize(rows: list[dict]) -> dict[str, Any]:
+    """Mean, spread and median of each quantity, over all valid problems and over the hard ones.
+
+    The cost is over solved problems; everything else over all.
+    """
+    valid = [row for row in rows if row["valid"]]
+    strata = {"all": valid, "hard": [row for row in valid if row["hard"]]}
+    summary: dict[str, Any] = {
+        "num_problems": len(rows),
+        "num_invalid": len(rows) - len(valid),
+        "invalid_problems": [row["index"] for row in rows if not row["valid"]],
+    }
+    for stratum, chosen in strata.items():
+        num = len(chosen)
+        solved = [row for row in chosen if row["success"]]
+        first = [row for row in solved if row["roadmaps"] == 1]
+        part: dict[str, Any] = {
+            "num_problems": num,
+            "success": len(solved) / num if num else None,
+            "success_first_roadmap": len(first) / num if num else None,
+        }
+        for name, failures_count in _QUANTITIES.items():
+            values = [row[name] for row in (chosen if failures_count else solved)]
+            part[name] = (
+                {
+                    "mean": float(np.mean(values)),
+                    "std": float(np.std(values)),
+                    "median": float(np.median(values)),
+                    "p95": float(np.quantile(values, 0.95)),
+                }
+                if values
+                else None
+            )
+        summary[stratum] = part
+    return summary
+
+
+@functools.cache
+def describe_machine() -> dict[str, Any]:
+    """What the numbers were measured on."""
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [x for x in cpuinfo.read_text().splitlines() if x.startswith("model name")]
+        model = names[0].split(":", 1)[1].strip() if names else model
+    return {
+        "processor": model,
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
+        "device": jax.devices()[0].device_kind,
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "gnnjax": importlib.metadata.version("gnnjax"),
+    }
+
+
+def _earlier_results(path: Path, settings: dict[str, Any]) -> list[dict]:
+    """The problems that an earlier run with the same settings has in its file."""
+    try:
+        earlier = json.loads(path.read_text(encoding="utf-8"))
+        version, theirs, rows = earlier["format"], earlier["settings"], earlier["problems"]
+    except FileNotFoundError:
+        return []
+    except (ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{str(path)!r} exists and holds no results; remove it, or choose another --json"
+        ) from None
+    if version != FORMAT:
+        raise InputError(
+            f"{str(path)!r} holds results of format {version!r}, this version writes {FORMAT}; "
+            "choose another --json"
+        )
+    for name, value in settings.items():
+        if theirs.get(name) != value:
+            raise InputError(
+                f"{str(path)!r} holds results with {name} {theirs.get(name)!r}, not {value!r}; "
+                "choose another --json"
+            )
+    return rows
+
+
+def _write(path: Path, results: dict[str, Any]) -> None:
+    text = json.dumps(results, allow_nan=False)
+    atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
+
+
+def print_summary(results: dict[str, Any]) -> None:
+    """Prints a summary as a table."""
+    settings, summary = results["settings"], results["summary"]
+    title = f"{settings['planner']}, {settings['num_nodes']} nodes"
+    table = Table("stratum", "solved", "edge checks", "configuration checks", "cost", title=title)
+    table.add_column("planning [ms]")
+    table.add_column("total [ms]")
+    for stratum in ("all", "hard"):
+        part = summary[stratum]
+        if not part["num_problems"]:
+            continue
+
+        def text(name: str, form: str, scale: float = 1.0, part: dict = part) -> str:
+            if part[name] is None:
+                return "-"
+            mean, median = part[name]["mean"] * scale, part[name]["median"] * scale
+            return f"{mean:{form}} ({median:{form}})"
+
+        table.add_row(
+            f"{stratum} ({part['num_problems']})",
+            f"{100 * part['success']:.1f} %",
+            text("edge_checks", ".1f"),
+            text("configuration_checks", ".0f"),
+            text("cost", ".2f"),
+            text("planning_time_s", ".1f", 1e3),
+            text("total_time_s", ".1f", 1e3),
+        )
+    console = Console()
+    console.print(table)
+    console.print("mean (median); times are of compiled code")
+    if summary["num_invalid"]:
+        console.print(
+            f"{summary['num_invalid']} invalid problems left out: {summary['invalid_problems']}"
+        )
+
+
+def main() -> None:
+    """Evaluates what the command line asks for."""
+    config = tyro.cli(EvaluateConfig)
+    print_summary(evaluate(config))
+    print(f"wrote {config.json}")
+
+
+if __name__ == "__main__":
+    run_command(main)
