@@ -14,7 +14,8 @@ from gnnjax.scene import Scene
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
 _SHORTEST_PIECE = 1e-4
-_PIECES_A_BATCH = 256
+_FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
+_PIECES_A_BATCH = 512
 
 
 def certify_path(robot: Robot, scene: Scene, path: np.ndarray) -> bool:
@@ -22,7 +23,7 @@ def certify_path(robot: Robot, scene: Scene, path: np.ndarray) -> bool:
 
     The path is cut into pieces. A piece is free when, at its middle, every collision geom is
     farther from everything else than any of its points can move until the piece's ends; otherwise
-    the piece is halved. Capsules count as chains of spheres that enclose them.
+    the piece is cut further. Capsules count as chains of spheres that enclose them.
 
     Args:
         robot: the arm, with spheres and capsules as collision geoms.
@@ -49,27 +50,67 @@ def certify_edges(robot: Robot, scene: Scene, starts: np.ndarray, ends: np.ndarr
     certified = np.ones(len(starts), bool)
     for q in (starts, ends):
         certified &= ((q >= lower) & (q <= upper)).all(axis=1)
-    body = _spheres(robot)
-    pieces = [(e, starts[e], ends[e]) for e in np.flatnonzero(certified)]
-    while pieces:
-        batch, pieces = pieces[:_PIECES_A_BATCH], pieces[_PIECES_A_BATCH:]
-        edge = np.array([piece[0] for piece in batch])
-        low, high = np.array([p[1] for p in batch]), np.array([p[2] for p in batch])
-        middle, half = (low + high) / 2, np.abs(high - low) / 2
-        clearance, margin = body.margins(scene, middle, half)
-        too_short = np.linalg.norm(half, axis=1) * 2 < _SHORTEST_PIECE
-        certified[edge[(clearance <= 0) | ((margin <= 0) & too_short)]] = False
-        split = (margin <= 0) & certified[edge]
-        pieces = [p for p in pieces if certified[p[0]]]
-        for i in np.flatnonzero(split):
-            pieces += [(edge[i], low[i], middle[i]), (edge[i], middle[i], high[i])]
+    body, boxes = _spheres(robot), _Boxes(scene)
+    edge = np.flatnonzero(certified)
+    edge, low, high = _cut(
+        edge, starts[edge], ends[edge], _lengths(starts, ends)[edge] / _FIRST_CUT
+    )
+    while len(edge):
+        now, later = slice(_PIECES_A_BATCH), slice(_PIECES_A_BATCH, None)
+        owner, begin, end = edge[now], low[now], high[now]
+        half = np.abs(end - begin) / 2
+        clearance, need = body.clearance_and_need(boxes, (begin + end) / 2, half)
+        touching = (clearance <= 0) | ((need >= 1) & (_lengths(begin, end) < _SHORTEST_PIECE))
+        certified[owner[touching]] = False
+        split = need >= 1
+        # As many parts as would do if the clearance were the same all along.
+        parts = _cut(owner[split], begin[split], end[split], np.clip(need[split] * 1.2, 2, 8))
+        edge, low, high = (
+            np.concatenate([new, old[later]])
+            for new, old in zip(parts, (edge, low, high), strict=True)
+        )
+        left = certified[edge]
+        edge, low, high = edge[left], low[left], high[left]
     return certified
+
+
+def _lengths(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(ends - starts, axis=1)
+
+
+def _cut(
+    owner: np.ndarray, low: np.ndarray, high: np.ndarray, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cuts lines into at least `parts` equal pieces, in order; neighbours share their ends."""
+    parts = np.maximum(1, np.ceil(parts)).astype(int)
+    row = np.repeat(np.arange(len(owner)), parts)
+    step = np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts)
+    number = parts[row]
+
+    def at(index: np.ndarray) -> np.ndarray:
+        fraction = (index / number)[:, None]
+        point = low[row] + fraction * (high - low)[row]
+        # The very end, not what rounding makes of it.
+        return np.where(fraction == 1, high[row], point)
+
+    return owner[row], at(step), at(step + 1)
 
 
 def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
     """Distance [m] of the arm at q `[D]` to boxes and itself; negative in collision."""
     still = np.zeros((1, robot.num_dof))
-    return float(_spheres(robot).margins(scene, np.asarray(q, float)[None], still)[0][0])
+    body = _spheres(robot)
+    return float(body.clearance_and_need(_Boxes(scene), np.asarray(q, float)[None], still)[0][0])
+
+
+class _Boxes:
+    """The existing boxes of a scene, in double precision."""
+
+    def __init__(self, scene: Scene):
+        mask = np.asarray(scene.mask)
+        self.centers = np.asarray(scene.centers, float)[mask]
+        self.half_extents = np.asarray(scene.half_extents, float)[mask]
+        self.rotations = np.array([_rotation(q) for q in np.asarray(scene.quats, float)[mask]])
 
 
 class _Spheres:
@@ -152,34 +193,38 @@ class _Spheres:
             offset, body = link.position, link.parent
         return reach
 
-    def margins(
-        self, scene: Scene, q: np.ndarray, half: np.ndarray
+    def clearance_and_need(
+        self, boxes: _Boxes, q: np.ndarray, half: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Clearance `[B]` at q `[B, D]`, and what is left of it after moving by `half` `[B, D]`."""
+        """What keeps the arm free at q `[B, D]` and while it moves by up to `half` `[B, D]`.
+
+        Returns:
+            Clearance `[B]`, m; and the largest share of a gap `[B]` that the motion can use up:
+            below 1 nothing is touched.
+        """
         centers = self._world_centers(q)  # [B S 3]
-        clearance = np.full(len(q), np.inf)
-        margin = np.full(len(q), np.inf)
-        motion = half @ self.reach.T  # [B S]
-        mask = np.asarray(scene.mask)
-        quats = np.asarray(scene.quats, float)[mask]
-        for center, size, quat in zip(
-            np.asarray(scene.centers, float)[mask],
-            np.asarray(scene.half_extents, float)[mask],
-            quats,
-            strict=True,
-        ):
-            local = (centers[:, self.moves] - center) @ _rotation(quat)
-            outside = np.linalg.norm(np.maximum(np.abs(local) - size, 0), axis=-1)
-            gaps = outside - self.radii[self.moves]
+        clearance, need = np.full(len(q), np.inf), np.zeros(len(q))
+
+        def account(gaps: np.ndarray, motion: np.ndarray) -> None:
+            nonlocal clearance, need
             clearance = np.minimum(clearance, gaps.min(axis=1, initial=np.inf))
-            left = gaps - motion[:, self.moves]
-            margin = np.minimum(margin, left.min(axis=1, initial=np.inf))
+            share = motion / np.maximum(gaps, 1e-12)
+            need = np.maximum(need, share.max(axis=1, initial=0.0))
+
+        motion = half @ self.reach[self.moves].T
+        moving, radii = centers[:, self.moves], self.radii[self.moves]
+        nearest = np.full(motion.shape, np.inf)
+        for center, size, rotation in zip(
+            boxes.centers, boxes.half_extents, boxes.rotations, strict=True
+        ):
+            outside = np.maximum(np.abs((moving - center) @ rotation) - size, 0)
+            nearest = np.minimum(nearest, np.einsum("bsi,bsi->bs", outside, outside))
+        account(np.sqrt(nearest) - radii, motion)
         first, second = self.pairs.T
-        apart = np.linalg.norm(centers[:, first] - centers[:, second], axis=-1)
-        gaps = apart - self.radii[first] - self.radii[second]
-        left = gaps - half @ self.pair_reach.T
-        clearance = np.minimum(clearance, gaps.min(axis=1, initial=np.inf))
-        return clearance, np.minimum(margin, left.min(axis=1, initial=np.inf))
+        between = centers[:, first] - centers[:, second]
+        apart = np.sqrt(np.einsum("bpi,bpi->bp", between, between))
+        account(apart - self.radii[first] - self.radii[second], half @ self.pair_reach.T)
+        return clearance, need
 
     def _world_centers(self, q: np.ndarray) -> np.ndarray:
         rotations = [np.broadcast_to(np.eye(3), (len(q), 3, 3))]

@@ -25,7 +25,6 @@ from gnnjax.roadmap import (
     SampledRoadmap,
     default_radius,
     edge_bucket,
-    reverse_slots,
     sample_roadmap,
 )
 from gnnjax.robot import Robot, load_robot
@@ -38,10 +37,8 @@ from gnnjax.search import (
     follow,
     greedy_search,
     lazy_search,
-    learn_edge,
     network_scorer,
     oracle_scorer,
-    unknown_edges,
 )
 
 Method = Literal["gnn", "distance", "oracle", "prm", "lazysp"]
@@ -157,7 +154,6 @@ class Planner:
             seed: of the roadmaps; the same for each problem.
         """
         num = len(problems.start)
-        problems = jax.tree.map(jnp.asarray, problems)
         build, search_weighted, _ = self._functions(
             is_axis_aligned(problems.scene), problems.scene.mask.shape[-1]
         )
@@ -167,10 +163,10 @@ class Planner:
         edge_checks, search_checks, roadmaps = np.zeros((3, num), int)
         planning_time, total_time = np.zeros((2, num))
         active = np.ones(num, bool)
-        for key in jax.random.split(jax.random.key(seed), self.max_roadmaps):
+        for attempt in range(self.max_roadmaps):
             share = 1 / active.sum()
             begin = time.perf_counter()
-            built = jax.block_until_ready(build(key, problems, active))
+            built = jax.block_until_ready(build(seed, attempt, problems, active))
             searched = time.perf_counter()
             search = functools.partial(search_weighted, self._weights)
             found, walks = self._search_certified(search, built.roadmap, problems.scene, active)
@@ -222,7 +218,6 @@ class Planner:
             InputError: start or goal is no valid configuration, or a box stands in the base.
         """
         robot = self.robot
-        scene = jax.tree.map(jnp.asarray, scene)
         base_clear = self._functions(is_axis_aligned(scene), scene.mask.shape[-1])[2]
         clear = np.asarray(base_clear(scene))
         if not clear.all():
@@ -266,27 +261,29 @@ class Planner:
         Returns:
             The last search of each problem with the checks of all of them, and the certified paths.
         """
-        status = jax.vmap(unknown_edges)(roadmaps)
+        status = np.zeros(roadmaps.neighbors.shape, np.int8)  # nothing is known
+        on_host, scenes_on_host = jax.tree.map(np.asarray, (roadmaps, scenes))
         paths: dict[int, np.ndarray] = {}
         edge_checks, configuration_checks = np.zeros((2, len(active)), int)
         open_ = active.copy()
         while True:
             found = jax.block_until_ready(search(roadmaps, scenes, status, open_))
-            status = found.edge_status
+            status = np.array(found.edge_status)
             edge_checks += np.where(open_, found.edge_checks, 0)
             configuration_checks += np.where(open_, found.configuration_checks, 0)
             open_ &= np.asarray(found.success)
+            path = np.asarray(found.path)
             for i in np.flatnonzero(open_):
-                walked = np.asarray(found.path[i])
-                walked = walked[walked >= 0]
-                nodes = np.asarray(roadmaps.nodes[i])[walked]
-                scene, roadmap = (jax.tree.map(lambda x, i=i: x[i], t) for t in (scenes, roadmaps))
+                walked = path[i][path[i] >= 0]
+                nodes = on_host.nodes[i, walked]
+                scene = jax.tree.map(lambda x, i=i: x[i], scenes_on_host)
                 certified = certify_edges(self.robot, scene, nodes[:-1], nodes[1:])
                 if certified.all():
                     paths[int(i)] = nodes
                     open_[i] = False
                 for step in np.flatnonzero(~certified):
-                    status = status.at[i].set(_refute(roadmap, status[i], *walked[step : step + 2]))
+                    for near, far in (walked[[step, step + 1]], walked[[step + 1, step]]):
+                        status[i, near, on_host.neighbors[i, near] == far] = INVALID
             if not open_.any():
                 checks = {"edge_checks": edge_checks, "configuration_checks": configuration_checks}
                 return found._replace(**checks), paths
@@ -316,15 +313,18 @@ class Planner:
             return search_roadmap(self.method, roadmap, scene, check, network, status)
 
         @jax.jit
-        def build(key: jax.Array, problems: Problem, active: jax.Array) -> SampledRoadmap:
+        def build(seed, attempt, problems: Problem, active: jax.Array) -> SampledRoadmap:
+            key = jax.random.fold_in(jax.random.key(seed), attempt)
             return over_problems(functools.partial(build_one, key), active, problems)
 
         @jax.jit
-        def search(weights, roadmaps, scenes, status, active) -> SearchResult:
+        def search(weights, roadmaps, scenes, status, active: jax.Array) -> SearchResult:
             one = functools.partial(search_one, weights)
             return over_problems(one, active, roadmaps, scenes, status)
 
-        base_clear = functools.partial(boxes_clear, self.robot, q=self.robot.home, base_only=True)
+        base_clear = functools.partial(
+            boxes_clear, self.robot, q=jnp.asarray(self.robot.home), base_only=True
+        )
         return build, search, jax.jit(base_clear)
 
 
@@ -397,12 +397,6 @@ def search_roadmap(
         jnp.where(first, labelled.num_checks, 0),
         jnp.where(usable, VALID, INVALID).astype(jnp.int8),
     )
-
-
-def _refute(roadmap: Roadmap, status: jax.Array, node: int, neighbor: int) -> jax.Array:
-    """Notes that the edge between two neighbours is not valid."""
-    slot = jnp.argmax(roadmap.neighbors[node] == neighbor)
-    return learn_edge(status, reverse_slots(roadmap), jnp.int32(node), slot, jnp.bool_(False))
 
 
 def cache_compilations() -> None:

@@ -45,7 +45,7 @@ def test_certified_edges_are_free_in_a_fine_scan_and_most_free_edges_are_certifi
     robot, rng = load_robot(tiny_path), np.random.default_rng(0)
     free = certified = refuted = 0
     for _ in range(40):
-        scene = random_scene(rng)
+        scene = random_scene(rng, num=5)
         edge = rng.uniform(robot.joint_lower, robot.joint_upper, (2, 3))
         edge[1] = edge[0] + 0.3 * (edge[1] - edge[0])
         yes = certify_path(robot, scene, edge)
