@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -78,7 +79,7 @@ def generate_labelled(
     zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
 
     def draw(key: jax.Array) -> Problem:
-        clear = functools.partial(boxes_clear, robot, q=jax.numpy.asarray(zero))
+        clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
         return sample_problem(key, robot, check.check_configurations, clear)
 
     def label(key: jax.Array, problem: Problem) -> LabelledRoadmap:
@@ -102,7 +103,7 @@ def generate_labelled(
 
     @jax.jit
     def generate(keys: jax.Array) -> Problem | LabelledRoadmap:
-        return over_problems(one, np.ones(len(keys), bool), keys)
+        return over_problems(one, jnp.ones(len(keys), bool), keys)
 
     return generate
 

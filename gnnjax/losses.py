@@ -1,7 +1,5 @@
 """What the guidance network learns: the way to the goal, and which edges are valid."""
 
-from typing import Protocol
-
 import jax
 import jax.numpy as jnp
 import optax
@@ -11,21 +9,6 @@ from gnnjax.generate import LabelledRoadmap
 from gnnjax.model import Encoding, GuidanceNetwork
 from gnnjax.roadmap import edge_bucket
 from gnnjax.search import GOAL, START
-
-
-class LossSettings(Protocol):
-    """The options of a training run that its losses read; see `TrainConfig`."""
-
-    @property
-    def max_walk(self) -> int: ...
-    @property
-    def every_step(self) -> bool: ...
-    @property
-    def all_nodes(self) -> bool: ...
-    @property
-    def temperature(self) -> float: ...
-    @property
-    def validity_weight(self) -> float: ...
 
 
 def step_targets(
@@ -103,23 +86,35 @@ def walk_losses(
 
 
 def graph_losses(
-    network: GuidanceNetwork, data: LabelledRoadmap, key: jax.Array, settings: LossSettings
+    network: GuidanceNetwork,
+    data: LabelledRoadmap,
+    key: jax.Array,
+    *,
+    max_walk: int,
+    every_step: bool,
+    all_nodes: bool,
+    temperature: float,
+    validity_weight: float,
 ) -> dict[str, jax.Array]:
-    """The losses of one labelled roadmap, and how well it is read."""
+    """The losses of one labelled roadmap, and how well it is read; `TrainConfig` has the options.
+
+    Returns:
+        `loss`, the sum that training minimizes, and its parts.
+    """
     roadmap = data.roadmap
     max_edges = edge_bucket(len(roadmap.nodes))
     encoding = network.encode(roadmap, data.problem.scene, max_edges)
-    target, counts = step_targets(data, settings.temperature)
-    num_steps = jax.random.randint(key, (), 1, settings.max_walk + 1)
+    target, counts = step_targets(data, temperature)
+    num_steps = jax.random.randint(key, (), 1, max_walk + 1)
     walked, number = walk_losses(
-        network, encoding, data, target, counts, num_steps, settings.max_walk, settings.every_step
+        network, encoding, data, target, counts, num_steps, max_walk, every_step
     )
     losses = {"walk_loss": walked / jnp.maximum(number, 1)}
     losses["loss"] = losses["walk_loss"]
-    if not (settings.all_nodes or settings.validity_weight):
+    if not (all_nodes or validity_weight):
         return losses
     outputs = network.edge_outputs(encoding, roadmap, max_edges)
-    if settings.all_nodes:
+    if all_nodes:
         entropies = cross_entropy(outputs.values, target, roadmap.neighbor_mask)
         total = jnp.maximum(counts.sum(), 1)
         losses["node_loss"] = jnp.sum(entropies * counts) / total
@@ -127,11 +122,11 @@ def graph_losses(
         hit = best == jnp.argmax(target, axis=-1)
         losses["node_accuracy"] = jnp.sum(hit * counts) / total
         losses["loss"] += losses["node_loss"]
-    if settings.validity_weight:
+    if validity_weight:
         valid = data.labels.edge_valid
         entropies = optax.sigmoid_binary_cross_entropy(outputs.validity, valid)
         losses["validity_loss"] = entropies.mean(where=roadmap.neighbor_mask)
         right = (outputs.validity > 0) == valid
         losses["validity_accuracy"] = right.mean(where=roadmap.neighbor_mask)
-        losses["loss"] += settings.validity_weight * losses["validity_loss"]
+        losses["loss"] += validity_weight * losses["validity_loss"]
     return losses

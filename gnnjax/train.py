@@ -109,6 +109,9 @@ PRESETS = {
 }
 
 
+LOSS_OPTIONS = ("max_walk", "every_step", "all_nodes", "temperature", "validity_weight")
+
+
 class TrainState(NamedTuple):
     """All that changes while training; a checkpoint holds it."""
 
@@ -133,8 +136,10 @@ def make_step(
 ) -> Callable[[TrainState, LabelledRoadmap, jax.Array], tuple[TrainState, dict[str, jax.Array]]]:
     """The jitted step: one batch of roadmaps, gradients added graph by graph."""
 
+    options = {name: getattr(config, name) for name in LOSS_OPTIONS}
+
     def loss(weights: Any, data: LabelledRoadmap, key: jax.Array):
-        losses = graph_losses(nnx.merge(graphdef, weights), data, key, config)
+        losses = graph_losses(nnx.merge(graphdef, weights), data, key, **options)
         return losses["loss"], losses
 
     gradient_of = jax.value_and_grad(loss, has_aux=True)

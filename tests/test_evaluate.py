@@ -1,0 +1,155 @@
+"""Evaluation: what is written, summed up, resumed and refused."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gnnjax.certify import certify_path
+from gnnjax.errors import InputError
+from gnnjax.evaluate import EvaluateConfig, evaluate, print_summary, summarize
+from gnnjax.generate import GenerateConfig, generate
+from gnnjax.problem import load_problems, save_problems
+from gnnjax.robot import load_robot
+from gnnjax.scene import Scene
+
+ROW = (
+    "success reason path edge_checks configuration_checks sampling_checks cost planning_time_s "
+    "total_time_s certified"
+)
+
+
+@pytest.fixture(scope="module")
+def problems(tiny_path, tmp_path_factory):
+    """Six problems; in problem 2 a box stands on the goal, in problem 4 the start is off limits."""
+    folder = tmp_path_factory.mktemp("problems")
+    robot = load_robot(tiny_path)
+    generate(
+        GenerateConfig(
+            split="test", robot=str(tiny_path), num_problems=6, seed=3, out=folder / "good.npz"
+        )
+    )
+    drawn = load_problems(folder / "good.npz", robot)
+    scene = Scene(*(x.copy() for x in drawn.problems.scene))
+    start, goal = drawn.problems.start.copy(), drawn.problems.goal.copy()
+    goal[2] = [0.0, 0.0, 0.0]
+    scene.centers[2, 0], scene.half_extents[2, 0] = [0.5, 0.0, 0.0], [0.1, 0.1, 0.1]
+    start[4, 1] = 2.7
+    changed = type(drawn.problems)(start, goal, scene)
+    save_problems(folder / "six.npz", type(drawn)(drawn.robot, changed))
+    return folder / "six.npz"
+
+
+def config(tiny_path, problems, out, **changes):
+    settings = {"planner": "lazysp", "num_nodes": 40, "max_roadmaps": 2} | changes
+    return EvaluateConfig(problems=problems, json=out, robot=str(tiny_path), **settings)
+
+
+@pytest.fixture(scope="module")
+def results(tiny_path, problems, tmp_path_factory):
+    out = tmp_path_factory.mktemp("results") / "lazysp.json"
+    evaluate(config(tiny_path, problems, out))
+    return json.loads(out.read_text())
+
+
+def test_every_problem_has_a_row_and_paths_hold(tiny_path, problems, results):
+    robot = load_robot(tiny_path)
+    query = load_problems(problems, robot).problems
+    assert results["complete"]
+    assert len(results["problems"]) == 6
+    assert results["settings"]["planner"] == "lazysp"
+    assert results["machine"]["cores"] >= 1
+    for i, row in enumerate(results["problems"]):
+        assert row.keys() >= set(ROW.split())
+        if not row["success"]:
+            assert row["reason"]
+            assert row["path"] == []
+            continue
+        path = np.array(row["path"], np.float32)
+        np.testing.assert_array_equal(path[[0, -1]], [query.start[i], query.goal[i]])
+        assert row["certified"]
+        assert certify_path(robot, type(query.scene)(*(x[i] for x in query.scene)), path)
+        length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+        np.testing.assert_allclose(row["cost"], length, rtol=1e-5)
+        assert row["configuration_checks"] == row["sampling_checks"] + row["search_checks"]
+        assert row["total_time_s"] > row["planning_time_s"] > 0
+
+
+def test_invalid_problems_are_counted_and_named(results):
+    assert results["summary"]["num_invalid"] == 2
+    assert results["summary"]["invalid_problems"] == [2, 4]
+    assert "goal [0.0, 0.0, 0.0] is in collision" in results["problems"][2]["reason"]
+    assert "start has 2.7 for joint 2" in results["problems"][4]["reason"]
+    assert results["summary"]["all"]["num_problems"] == 4
+
+
+def test_the_summary_is_that_of_its_rows(results, capsys):
+    rows = results["problems"]
+    assert summarize(rows) == results["summary"]
+    valid = [row for row in rows if row["valid"]]
+    checks = [row["edge_checks"] for row in valid]
+    found = results["summary"]["all"]["edge_checks"]
+    assert found["mean"] == np.mean(checks)
+    assert found["median"] == np.median(checks)
+    costs = [row["cost"] for row in valid if row["success"]]
+    np.testing.assert_allclose(results["summary"]["all"]["cost"]["std"], np.std(costs))
+    hard = [row for row in valid if row["hard"]]
+    assert results["summary"]["hard"]["num_problems"] == len(hard)
+    print_summary(results)
+    assert "2 invalid problems left out: [2, 4]" in capsys.readouterr().out
+
+
+def without_times(rows):
+    return [{k: v for k, v in row.items() if not k.endswith("_s")} for row in rows]
+
+
+def test_a_run_that_was_cut_off_goes_on(tiny_path, problems, results, tmp_path):
+    out = tmp_path / "cut.json"
+    cut = {**results, "problems": results["problems"][:3], "complete": False, "summary": {}}
+    out.write_text(json.dumps(cut))
+    resumed = evaluate(config(tiny_path, problems, out))
+    assert resumed["problems"][:3] == results["problems"][:3]  # times too: nothing was redone
+    assert without_times(resumed["problems"]) == without_times(results["problems"])
+
+
+def test_a_batch_finds_what_single_queries_find(tiny_path, problems, results, tmp_path):
+    batched = evaluate(config(tiny_path, problems, tmp_path / "batch.json", batch_size=4))
+    assert without_times(batched["problems"]) == without_times(results["problems"])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "holds no results; remove it"),
+        ('{"format": 0, "settings": {}, "problems": []}', "results of format 0"),
+        ('{"format": 1, "settings": {"planner": "prm"}, "problems": []}', "results with"),
+    ],
+)
+def test_a_file_with_something_else_is_kept(tiny_path, problems, tmp_path, text, message):
+    out = tmp_path / "other.json"
+    out.write_text(text)
+    with pytest.raises(InputError, match=message):
+        evaluate(config(tiny_path, problems, out))
+    assert out.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--planner", "magic"], "magic"),
+        (["--problems", "missing.npz"], "error: no problem file 'missing.npz'; check the path"),
+        (["--robot", "kuka_iiwa14"], "is for robot 'tiny', not 'kuka_iiwa14'"),
+        (["--num-nodes", "1"], "error: num_nodes is 1"),
+        (["--batch-size", "0"], "error: batch_size is 0"),
+    ],
+)
+def test_the_command_refuses_bad_arguments(tiny_path, problems, tmp_path, arguments, message):
+    command = [sys.executable, "-m", "gnnjax.evaluate", "--robot", str(tiny_path), "--planner"]
+    command += ["lazysp", "--problems", str(problems), "--json", str(tmp_path / "out.json")]
+    done = subprocess.run(command + arguments, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out.json").exists()

@@ -1,0 +1,229 @@
+"""Training: its losses against plain loops, its runs, and its checkpoints."""
+
+import dataclasses
+import json
+import shutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import nnx
+
+import gnnjax.train
+from gnnjax.checkpoint import load_network, read_metadata, save_network
+from gnnjax.errors import InputError
+from gnnjax.generate import GenerateConfig, from_problem_set, generate
+from gnnjax.losses import graph_losses, step_targets, walk_losses
+from gnnjax.model import GuidanceNetwork
+from gnnjax.planner import load_planner
+from gnnjax.problem import load_problems
+from gnnjax.roadmap import edge_bucket
+from gnnjax.robot import load_robot
+from gnnjax.search import GOAL
+from gnnjax.train import LOSS_OPTIONS, PRESETS, train
+
+
+@pytest.fixture(scope="module")
+def data_path(tiny_path, tmp_path_factory):
+    out = tmp_path_factory.mktemp("data") / "train"
+    generate(
+        GenerateConfig(robot=str(tiny_path), num_problems=8, num_nodes=30, shard_size=8, out=out)
+    )
+    return out
+
+
+@pytest.fixture(scope="module")
+def graphs(tiny_path, data_path):
+    return from_problem_set(load_problems(data_path, load_robot(tiny_path)))
+
+
+def graph(graphs, i):
+    return jax.tree.map(lambda x: jnp.asarray(x[i]), graphs)
+
+
+@pytest.fixture(scope="module")
+def network():
+    return GuidanceNetwork(channels=8, rngs=nnx.Rngs(1))
+
+
+def log_softmax(values, mask):
+    values = np.where(mask, np.asarray(values, float), -np.inf)
+    return values - np.log(np.exp(values - values.max()).sum()) - values.max()
+
+
+@pytest.mark.parametrize("temperature", [0.0, 0.3])
+def test_targets_point_along_the_shortest_path(graphs, temperature):
+    for i in range(4):
+        data = graph(graphs, i)
+        target, counts = step_targets(data, temperature)
+        cost, following = np.asarray(data.labels.cost_to_go), np.asarray(data.labels.next_node)
+        for node in range(30):
+            assert counts[node] == (np.isfinite(cost[node]) and node != GOAL)
+            if not counts[node]:
+                continue
+            best = np.asarray(data.roadmap.neighbors[node]) == following[node]
+            if temperature == 0:
+                np.testing.assert_array_equal(target[node], best & data.roadmap.neighbor_mask[node])
+                continue
+            through = np.asarray(
+                data.roadmap.lengths[node] + cost[np.asarray(data.roadmap.neighbors[node])]
+            )
+            weight = np.exp(-(through - cost[node]) / temperature)
+            weight *= np.asarray(data.labels.edge_valid[node])
+            np.testing.assert_allclose(target[node], weight / weight.sum(), atol=1e-5)
+
+
+@pytest.mark.parametrize("every_step", [True, False])
+def test_the_walk_learns_from_the_nodes_that_a_plain_loop_visits(graphs, network, every_step):
+    learned = 0
+    for i in range(6):
+        data = graph(graphs, i)
+        target, counts = step_targets(data, 0.0)
+        encoding = network.encode(data.roadmap, data.problem.scene, edge_bucket(200))
+        state = network.extend_path(encoding, network.init_path(), 0)
+        node, visited, losses = 0, {0}, []
+        for step in range(4):
+            values = np.asarray(network.guidance_values(encoding, state, data.roadmap, node))
+            loss = -(target[node] * log_softmax(values, data.roadmap.neighbor_mask[node]))
+            loss = np.nansum(np.where(np.asarray(target[node]) > 0, loss, 0))
+            neighbors = np.asarray(data.roadmap.neighbors[node])
+            open_ = np.asarray(data.labels.edge_valid[node]) & ~np.isin(neighbors, list(visited))
+            following = neighbors[np.argmax(np.where(open_, values, -np.inf))]
+            last = step == 3 or following == GOAL or not open_.any()
+            if (every_step or last) and counts[node]:
+                losses.append(loss)
+            if last:
+                break
+            node = int(following)
+            visited.add(node)
+            state = network.extend_path(encoding, state, node)
+        found, number = jax.jit(walk_losses, static_argnums=(0, 6, 7))(
+            network, encoding, data, target, counts, jnp.int32(4), 10, every_step
+        )
+        np.testing.assert_allclose(found, sum(losses), rtol=1e-4)
+        assert number == len(losses)
+        learned += len(losses)
+    assert learned >= 4
+
+
+def test_all_losses_are_finite_and_validity_ignores_padding(graphs, network):
+    data = graph(graphs, 0)
+    losses = graph_losses(
+        network,
+        data,
+        jax.random.key(0),
+        **{name: getattr(PRESETS["smoke"], name) for name in LOSS_OPTIONS},
+    )
+    assert all(np.isfinite(value) for value in losses.values())
+    mask = data.roadmap.neighbor_mask
+    outputs = network.edge_outputs(
+        network.encode(data.roadmap, data.problem.scene, edge_bucket(200)),
+        data.roadmap,
+        edge_bucket(200),
+    )
+    logits, valid = np.asarray(outputs.validity)[mask], np.asarray(data.labels.edge_valid)[mask]
+    expected = np.log1p(np.exp(np.where(valid, -logits, logits))).mean()
+    np.testing.assert_allclose(losses["validity_loss"], expected, rtol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def smoke(tiny_path, data_path, tmp_path_factory):
+    """A finished run of two epochs."""
+    config = dataclasses.replace(
+        PRESETS["smoke"],
+        data=data_path,
+        robot=str(tiny_path),
+        out=tmp_path_factory.mktemp("runs") / "smoke",
+    )
+    train(config)
+    return config
+
+
+def records(config):
+    lines = (config.out / "log.jsonl").read_text().splitlines()
+    return [{k: v for k, v in json.loads(line).items() if k != "seconds"} for line in lines]
+
+
+def test_a_run_logs_validates_and_leaves_weights_that_plan(tiny_path, smoke):
+    first, second = records(smoke)
+    assert second["loss"] != first["loss"]
+    assert 0 <= second["validation_success"] <= 1
+    assert list((smoke.out / "tensorboard").iterdir())
+    planner = load_planner(tiny_path, "gnn", num_nodes=30, weights=smoke.out / "weights")
+    data = load_problems(smoke.data, load_robot(tiny_path)).problems
+    plans = planner.plan_batch(data)
+    assert sum(plan.success for plan in plans) >= 4
+    meta = read_metadata(smoke.out / "weights")
+    assert meta["training"]["epochs"] == 2
+    assert meta["model"]["channels"] == 8
+
+
+def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
+    config = dataclasses.replace(smoke, out=tmp_path / "cut")
+    validate, calls = gnnjax.train.validate, []
+
+    def killed(*args):
+        calls.append(None)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return validate(*args)
+
+    monkeypatch.setattr(gnnjax.train, "validate", killed)
+    with pytest.raises(KeyboardInterrupt):
+        train(config)
+    assert len(records(config)) == 1
+    monkeypatch.undo()
+    with pytest.raises(InputError, match="holds a run already; add --resume"):
+        train(config)
+    with pytest.raises(InputError, match=r"has learning_rate 0\.003, not 1\.0"):
+        train(dataclasses.replace(config, resume=True, learning_rate=1.0))
+    train(dataclasses.replace(config, resume=True))
+    assert records(config) == records(smoke)
+    weights = [
+        jax.tree.leaves(nnx.state(load_network(c.out / "weights"), nnx.Param))
+        for c in (config, smoke)
+    ]
+    for ours, theirs in zip(*weights, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_the_paper_preset_is_the_papers():
+    paper = PRESETS["paper"]
+    assert (paper.optimizer, paper.learning_rate, paper.weight_decay) == ("sgd", 1e-3, 1e-3)
+    assert (paper.max_walk, paper.every_step, paper.all_nodes) == (10, False, False)
+    assert (paper.temperature, paper.validity_weight) == (0.0, 0.0)
+    assert not paper.geometric_features
+
+
+def test_a_truncated_checkpoint_is_refused(network, tmp_path):
+    save_network(tmp_path / "weights", network, {})
+    for file in (tmp_path / "weights" / "weights").rglob("d/*"):
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(InputError, match="is damaged or no checkpoint"):
+        load_network(tmp_path / "weights")
+
+
+def test_a_checkpoint_of_another_version_is_refused(network, tmp_path):
+    save_network(tmp_path / "weights", network, {})
+    meta = tmp_path / "weights" / "meta" / "metadata"
+    meta.write_text(meta.read_text().replace('"format": 1', '"format": 0'))
+    with pytest.raises(InputError, match=r"has format 0 .* this version reads format 1"):
+        load_network(tmp_path / "weights")
+
+
+def test_a_folder_without_a_checkpoint_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"no checkpoint folder .*; train one"):
+        load_network(tmp_path / "missing")
+    with pytest.raises(InputError, match="is damaged or no checkpoint"):
+        load_network(tmp_path)
+
+
+def test_saving_again_replaces_the_weights(network, tmp_path):
+    save_network(tmp_path / "weights", network, {"run": 1})
+    other = GuidanceNetwork(channels=8, rngs=nnx.Rngs(2))
+    save_network(tmp_path / "weights", other, {"run": 2})
+    assert read_metadata(tmp_path / "weights")["training"] == {"run": 2}
+    loaded = load_network(tmp_path / "weights")
+    np.testing.assert_array_equal(loaded.gat_weight.kernel[...], other.gat_weight.kernel[...])
+    shutil.rmtree(tmp_path / "weights")
