@@ -18,7 +18,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.errors import InputError
 from gnnjax.geometry import segment_box_squared, segment_segment_squared
-from gnnjax.kinematics import Vector, body_frames, dot, subtract, transform
+from gnnjax.kinematics import (
+    WORLD,
+    Frame,
+    Joints,
+    Vector,
+    body_frames,
+    dot,
+    joint_terms,
+    subtract,
+    transform,
+)
 from gnnjax.robot import CAPSULE, SPHERE, Robot
 from gnnjax.scene import Scene, rotation_matrices
 
@@ -27,8 +37,9 @@ Backend: TypeAlias = Literal["fused", "mjx"]
 EDGE_RESOLUTION = 0.05  # rad (or m) between neighbouring configurations tested along an edge
 
 # Geometry pairs in one pass of the fused kernel. The compiler turns a pass into a single loop over
-# the batch; it splits longer ones, which then run several times slower.
-_BOX_PAIRS_A_PASS = {"aligned": 250, "rotated": 100}
+# the batch. It splits what exceeds 2,000 operations into functions, and where it fails to join them
+# again, the loop runs several times slower.
+_BOX_PAIRS_A_PASS = 250
 _SELF_PAIRS_A_PASS = 600
 _FAR = 1e6  # m; where padding boxes are
 
@@ -189,16 +200,19 @@ def boxes_clear(
     chosen = [g for g in range(len(moved)) if not (base_only and moved[g])]
     if not chosen:
         return jnp.ones(scene.mask.shape, bool)
-    segments = _segments(robot, list(q))
+    segments = _segments(robot, joint_terms(robot, q))
 
     def column(part: int) -> Vector:
         points = [segments[g][part] or [0.0, 0.0, 0.0] for g in chosen]
         return [jnp.stack([jnp.asarray(p[a], q.dtype) for p in points])[:, None] for a in range(3)]
 
-    boxes = jnp.moveaxis(scene.centers, -1, 0), jnp.moveaxis(scene.half_extents, -1, 0)
-    rotations = jnp.moveaxis(rotation_matrices(scene.quats), 0, -1)
-    axis = column(1) if CAPSULE in robot.geom_types[chosen] else None
-    squared = _segment_to_box(column(0), axis, *boxes, rotations)
+    def seen_from_box(vector: Vector) -> Vector:
+        return [dot(list(to_box), vector) for to_box in to_boxes]
+
+    to_boxes = jnp.moveaxis(rotation_matrices(scene.quats), 0, -1).swapaxes(0, 1)
+    offset = seen_from_box(subtract(column(0), list(scene.centers.T)))
+    axis = seen_from_box(column(1)) if CAPSULE in robot.geom_types[chosen] else None
+    squared = segment_box_squared(offset, axis, list(scene.half_extents.T))
     reach = jnp.asarray(robot.geom_radii[chosen] ** 2, q.dtype)[:, None]
     return jnp.all(squared > reach, axis=0) | ~scene.mask
 
@@ -211,29 +225,20 @@ def _moved_by_joint(robot: Robot) -> list[bool]:
     return [b >= 0 and moved[b] for b in robot.geom_bodies.tolist()]
 
 
-def _segments(robot: Robot, q: list[jax.Array]) -> list[tuple[Vector, Vector | None]]:
-    """Centre and half axis (None for a sphere) of every collision geom in the world, m."""
-    frames = body_frames(robot, q)
-    world = ([0.0, 0.0, 0.0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+def _segments(
+    robot: Robot, joints: Joints, base: Frame = WORLD
+) -> list[tuple[Vector, Vector | None]]:
+    """Centre and half axis (None for a sphere) of every collision geom, m; see `body_frames`."""
+    frames = body_frames(robot, joints, base)
     segments = []
     for g, body in enumerate(robot.geom_bodies):
-        position, rotation = frames[body] if body >= 0 else world
+        position, rotation = frames[body] if body >= 0 else base
         center = transform(position, rotation, robot.geom_centers[g].tolist())
         axis = None
         if robot.geom_types[g] == CAPSULE:
             axis = [dot(row, robot.geom_axes[g].tolist()) for row in rotation]
         segments.append((center, axis))
     return segments
-
-
-def _segment_to_box(center, axis, box_center, half_extents, rotation) -> jax.Array:
-    """Squared distance [m^2] of a point or segment to a box."""
-    offset = subtract(center, [box_center[a] for a in range(3)])
-    if rotation is not None:
-        columns = [[rotation[row, a] for row in range(3)] for a in range(3)]
-        offset = [dot(column, offset) for column in columns]
-        axis = None if axis is None else [dot(column, axis) for column in columns]
-    return segment_box_squared(offset, axis, [half_extents[a] for a in range(3)])
 
 
 def _fused(robot: Robot, axis_aligned: bool):
@@ -247,10 +252,10 @@ def _fused(robot: Robot, axis_aligned: bool):
         )
     radii = robot.geom_radii.tolist()
     moving = np.flatnonzero(_moved_by_joint(robot)).tolist()
-    pairs = _BOX_PAIRS_A_PASS["aligned" if axis_aligned else "rotated"]
     # A capsule takes about as much code as eight spheres.
     work = sum(8 if robot.geom_types[g] == CAPSULE else 1 for g in moving)
-    most_boxes_a_pass = max(1, pairs // max(1, work))
+    # Rotated boxes share no work, so nothing is gained by taking several at a time.
+    most_boxes_a_pass = max(1, _BOX_PAIRS_A_PASS // max(1, work)) if axis_aligned else 1
     num_self = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
     self_parts = np.array_split(robot.self_pairs, max(1, num_self))
 
@@ -259,19 +264,25 @@ def _fused(robot: Robot, axis_aligned: bool):
         # one. NaN configurations are refused by the joint limits.
         return jnp.where(a < b, a, b)
 
-    def box_pass(q, centers, half_extents, rotations, gap):
-        segments = _segments(robot, q)
-        smallest = jnp.full(q[0].shape, jnp.inf, q[0].dtype)
+    def box_pass(joints, origins, rotations, half_extents, gap):
+        # Kinematics in the frame of each box are less work than moving every sphere there. Boxes
+        # that are not rotated share most of it, which the compiler finds out.
+        if rotations is None:
+            rotations = [WORLD[1]] * len(origins)
+        bases = [
+            (list(o), [list(row) for row in r]) for o, r in zip(origins, rotations, strict=True)
+        ]
+        views = [_segments(robot, joints, base) for base in bases]
+        smallest = jnp.full(joints.values.shape[1:], jnp.inf, joints.values.dtype)
         for g in moving:
-            for k in range(len(centers)):
-                rotation = None if rotations is None else rotations[k]
-                squared = _segment_to_box(*segments[g], centers[k], half_extents[k], rotation)
+            for view, extents in zip(views, half_extents, strict=True):
+                squared = segment_box_squared(*view[g], list(extents))
                 smallest = smaller(gap(squared, radii[g]), smallest)
         return smallest
 
-    def self_pass(q, pairs, gap):
-        segments = _segments(robot, q)
-        smallest = jnp.full(q[0].shape, jnp.inf, q[0].dtype)
+    def self_pass(joints, pairs, gap):
+        segments = _segments(robot, joints)
+        smallest = jnp.full(joints.values.shape[1:], jnp.inf, joints.values.dtype)
         for i, j in pairs:
             squared = segment_segment_squared(*segments[i], *segments[j])
             smallest = smaller(gap(squared, radii[i] + radii[j]), smallest)
@@ -281,38 +292,35 @@ def _fused(robot: Robot, axis_aligned: bool):
         boxes_a_pass = max(1, min(most_boxes_a_pass, len(scene.mask)))
         # Padding boxes go far away, and to the end where they are skipped altogether.
         order = jnp.argsort(~scene.mask)
-        pad = -len(scene.mask) % boxes_a_pass
-        centers = jnp.where(scene.mask[:, None], scene.centers, _FAR)[order]
-        centers = jnp.pad(centers, ((0, pad), (0, 0)), constant_values=_FAR)
-        half_extents = jnp.pad(scene.half_extents[order], ((0, pad), (0, 0)))
-        rotations = None
+        origins, rotations = -jnp.where(scene.mask[:, None], scene.centers, _FAR)[order], None
         if not axis_aligned:
-            rotations = rotation_matrices(scene.quats)[order]
-            # Rotations, too: a zero matrix would bring the far boxes back to every point.
-            identities = jnp.broadcast_to(jnp.eye(3, dtype=rotations.dtype), (pad, 3, 3))
-            rotations = jnp.concatenate([rotations, identities])
+            rotations = rotation_matrices(scene.quats)[order].swapaxes(-1, -2)
+            origins = jnp.sum(rotations * origins[:, None], axis=-1)
+        pad = -len(scene.mask) % boxes_a_pass
+        origins = jnp.pad(origins, ((0, pad), (0, 0)), constant_values=_FAR)
+        half_extents = jnp.pad(scene.half_extents[order], ((0, pad), (0, 0)))
         num_passes = (scene.mask.sum() + boxes_a_pass - 1) // boxes_a_pass
-        components = jnp.moveaxis(q, -1, 0)
+        joints = joint_terms(robot, q)
 
         def one_pass(i, smallest):
             # The barrier keeps the compiler from moving the kinematics out of the loop, which
             # would send every sphere's coordinates through memory: three times slower.
-            fresh, smallest = jax.lax.optimization_barrier((components, smallest))
+            fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
 
             def part(array):
                 return jax.lax.dynamic_slice_in_dim(array, i * boxes_a_pass, boxes_a_pass)
 
-            turned = None if rotations is None else part(rotations)
-            gaps = box_pass(list(fresh), part(centers), part(half_extents), turned, gap)
-            return smaller(gaps, smallest)
+            # The rotations may be None.
+            origin, rotation, extents = jax.tree.map(part, (origins, rotations, half_extents))
+            return smaller(box_pass(fresh, origin, rotation, extents, gap), smallest)
 
         smallest = jnp.full(q.shape[:-1], jnp.inf, q.dtype)
         smallest = jax.lax.fori_loop(0, num_passes, one_pass, smallest)
         for part in self_parts:
 
             def self_turn(_, smallest, part=part):
-                fresh, smallest = jax.lax.optimization_barrier((components, smallest))
-                return smaller(self_pass(list(fresh), part, gap), smallest)
+                fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
+                return smaller(self_pass(fresh, part, gap), smallest)
 
             # A loop of one turn or none, for the same reason as above; none where it cannot matter.
             turns = jnp.any(worth_going_on(smallest)).astype(jnp.int32)

@@ -8,7 +8,7 @@ batches of 3 x 3 matrix products.
 """
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +20,28 @@ from gnnjax.robot import Body, Robot
 Scalar: TypeAlias = float | jax.Array  # one component: a constant, or an array over the batch
 Vector: TypeAlias = list[Scalar]  # 3 components
 Matrix: TypeAlias = list[list[Scalar]]  # 3 rows of 3 components
+Frame: TypeAlias = tuple[Vector, Matrix]  # position [m] and rotation
 
-_IDENTITY: Matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+WORLD: Frame = ([0.0, 0.0, 0.0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+class Joints(NamedTuple):
+    """Joint values for a batch, with what the frames need of them."""
+
+    values: Float[Array, "D ..."]  # from the pose in which the MJCF places the bodies, rad or m
+    cos: Float[Array, "D ..."]
+    sin: Float[Array, "D ..."]
+
+
+def joint_terms(robot: Robot, q: Float[Array, "*batch D"]) -> Joints:
+    """Prepares configurations for `body_frames`.
+
+    Apart from it because cosines and sines cost as much as the rest of the kinematics; code that
+    computes frames again and again should not also compute those again.
+    """
+    # MuJoCo's bodies lie as the MJCF places them when a joint is at its reference (`ref`).
+    values = jnp.moveaxis(q - jnp.asarray(robot.mj_model.qpos0, q.dtype), -1, 0)
+    return Joints(values, jnp.cos(values), jnp.sin(values))
 
 
 def _mul(a: Scalar, b: Scalar) -> Scalar:
@@ -83,37 +103,31 @@ def _align_z(axis: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
-def body_frames(robot: Robot, q: Sequence[jax.Array]) -> list[tuple[Vector, Matrix]]:
-    """World position and rotation of every body.
+def body_frames(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Frame]:
+    """Position and rotation of every body.
 
     Args:
         robot: the arm whose constants go into the code.
-        q: D arrays, one a joint, all of the same shape; rad or m.
+        joints: from `joint_terms`.
+        base: the world, seen from the frame in which the bodies are wanted.
     """
-    # MuJoCo's bodies lie as the MJCF places them when a joint is at its reference (`ref`).
-    reference = robot.mj_model.qpos0.tolist()
-    values = [add(value, -ref) for value, ref in zip(q, reference, strict=True)]
-    frames: list[tuple[Vector, Matrix]] = []
+    frames: list[Frame] = []
     for body in robot.bodies:
-        position, rotation = [0.0, 0.0, 0.0], _IDENTITY
-        if body.parent >= 0:
-            position, rotation = frames[body.parent]
-        frames.append(_move(body, position, rotation, values))
+        position, rotation = frames[body.parent] if body.parent >= 0 else base
+        frames.append(_move(body, position, rotation, joints))
     return frames
 
 
-def _move(
-    body: Body, position: Vector, rotation: Matrix, q: Sequence[Scalar]
-) -> tuple[Vector, Matrix]:
+def _move(body: Body, position: Vector, rotation: Matrix, joints: Joints) -> Frame:
     position = transform(position, rotation, _constant(body.position))
     rotation = _matmul(rotation, _constant(body.rotation))
     for joint in body.joints:
-        value = q[joint.index]
         if not joint.hinge:
             direction = [dot(row, _constant(joint.axis)) for row in rotation]
+            value = joints.values[joint.index]
             position = [add(p, _mul(d, value)) for p, d in zip(position, direction, strict=True)]
             continue
-        cos, sin = jnp.cos(value), jnp.sin(value)
+        cos, sin = joints.cos[joint.index], joints.sin[joint.index]
         turn: Matrix = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]
         align = _align_z(joint.axis)
         anchor = transform(position, rotation, _constant(joint.anchor))
@@ -128,7 +142,7 @@ def forward_kinematics(
     robot: Robot, q: Float[Array, "*batch D"]
 ) -> tuple[Float[Array, "*batch L 3"], Float[Array, "*batch L 3 3"]]:
     """World positions [m] and rotations of the robot's L bodies, in the order of `robot.bodies`."""
-    frames = body_frames(robot, [q[..., d] for d in range(robot.num_dof)])
+    frames = body_frames(robot, joint_terms(robot, q))
     shape = q.shape[:-1]
 
     def full(value: Scalar) -> jax.Array:
