@@ -196,7 +196,7 @@ def boxes_clear(
         q: the arm's configuration.
         base_only: test only the geoms that no joint moves, which `Checker` leaves out.
     """
-    moved = _moved_by_joint(robot)
+    moved = moved_by_joint(robot)
     chosen = [g for g in range(len(moved)) if not (base_only and moved[g])]
     if not chosen:
         return jnp.ones(scene.mask.shape, bool)
@@ -217,7 +217,7 @@ def boxes_clear(
     return jnp.all(squared > reach, axis=0) | ~scene.mask
 
 
-def _moved_by_joint(robot: Robot) -> list[bool]:
+def moved_by_joint(robot: Robot) -> list[bool]:
     """Whether each collision geom is moved by some joint."""
     moved: list[bool] = []
     for body in robot.bodies:
@@ -251,7 +251,7 @@ def _fused(robot: Robot, axis_aligned: bool):
             "spheres (experiments/fit_collision.py does) or use the mjx checker"
         )
     radii = robot.geom_radii.tolist()
-    moving = np.flatnonzero(_moved_by_joint(robot)).tolist()
+    moving = np.flatnonzero(moved_by_joint(robot)).tolist()
     # A capsule takes about as much code as eight spheres.
     work = sum(8 if robot.geom_types[g] == CAPSULE else 1 for g in moving)
     # Rotated boxes share no work, so nothing is gained by taking several at a time.

@@ -1,5 +1,7 @@
 """What the guidance network learns: the way to the goal, and which edges are valid."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import optax
@@ -8,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from gnnjax.generate import LabelledRoadmap
 from gnnjax.model import Encoding, GuidanceNetwork
 from gnnjax.roadmap import edge_bucket
+from gnnjax.scene import Scene
 from gnnjax.search import GOAL, START
 
 
@@ -89,6 +92,7 @@ def graph_losses(
     network: GuidanceNetwork,
     data: LabelledRoadmap,
     key: jax.Array,
+    point_distances: Callable[[Scene, jax.Array], jax.Array] | None = None,
     *,
     max_walk: int,
     every_step: bool,
@@ -103,7 +107,7 @@ def graph_losses(
     """
     roadmap = data.roadmap
     max_edges = edge_bucket(len(roadmap.nodes))
-    encoding = network.encode(roadmap, data.problem.scene, max_edges)
+    encoding = network.encode(roadmap, data.problem.scene, max_edges, point_distances)
     target, counts = step_targets(data, temperature)
     num_steps = jax.random.randint(key, (), 1, max_walk + 1)
     walked, number = walk_losses(

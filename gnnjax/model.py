@@ -13,7 +13,8 @@ model first:
     encodings = jax.vmap(lambda r, s: nnx.merge(graphdef, params).encode(r, s))(roadmaps, scenes)
 """
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -26,6 +27,7 @@ from gnnjax.errors import InputError
 from gnnjax.occupancy import HalvingConv, occupancy_grid
 from gnnjax.roadmap import Roadmap, graphs_tuple
 from gnnjax.scene import Scene
+from gnnjax.validity import ValidityHead, cost_through
 
 GOAL = 1  # node index of the goal in every roadmap
 Graph = Any  # jraph.GraphsTuple, whose fields are typed too widely for a type checker to be of use
@@ -41,7 +43,8 @@ class Encoding(NamedTuple):
     self_score: Float[Array, "*batch N"]  # Q_e,i . K_e,i, before scaling
     decoder_near: Float[Array, "*batch N C"]  # share of node i in its decoder rows
     decoder_far: Float[Array, "*batch N C"]  # share of node j in the decoder rows that end there
-    validity: Float[Array, "*batch N C"]  # share of either end in the validity of an edge
+    validity: Float[Array, "*batch N K"]  # logit that a slot's edge is free; symmetric
+    through: Float[Array, "*batch N K"]  # likely cost of the way through a neighbor, units of pi
     goal_distance: Float[Array, "*batch N"]  # Euclidean, in units of pi
 
 
@@ -82,6 +85,9 @@ class GuidanceNetwork(nnx.Module):
             of its ends to the goal, and the progress made per length. The untrained network then
             ranks neighbors by their distance to the goal.
         validity_head: adds the logit that an edge is collision-free.
+        workspace_points: points of the arm whose distances to the obstacles the validity head
+            reads; it needs that head. Guidance values then start as minus the likely cost of the
+            way through a neighbor (see `validity.py`), and the network learns what to add. 0: none.
         rngs: source of the initial weights.
     """
 
@@ -95,6 +101,7 @@ class GuidanceNetwork(nnx.Module):
         workspace_upper: Sequence[float] = (1.2, 1.2, 1.6),
         geometric_features: bool = True,
         validity_head: bool = True,
+        workspace_points: int = 0,
         *,
         rngs: nnx.Rngs,
     ):
@@ -106,6 +113,9 @@ class GuidanceNetwork(nnx.Module):
         self.workspace_upper = tuple(workspace_upper)
         self.geometric_features = geometric_features
         self.validity_head = validity_head
+        self.workspace_points = workspace_points
+        if workspace_points and not (validity_head and geometric_features):
+            raise ValueError("workspace_points need validity_head and geometric_features")
 
         c, features = channels, 2 * num_dof
         pair_features = c + features if geometric_features else c
@@ -155,16 +165,17 @@ class GuidanceNetwork(nnx.Module):
         if geometric_features:
             self.decoder_near_data = linear(features)
             self.decoder_far_data = linear(features)
-            self.decoder_geometry = linear(4)
-            self.value_geometry = linear(4, 1)
-            # Starts as the distance of the far end to the goal in rad, which is a fair guess.
+            shares = [0.0, 0.0, -jnp.pi, 0.0]
+            # The untrained network goes by the distance of the far end to the goal in rad, which is
+            # a fair guess, or by the likely cost of the way, as sharply as labels are soft.
+            if workspace_points:
+                shares = [0.0, 0.0, 0.0, 0.0, -4.0 * jnp.pi]
+            self.decoder_geometry = linear(len(shares))
+            self.value_geometry = linear(len(shares), 1)
             self.value_out.kernel[...] = jnp.zeros((c, 1))
-            self.value_geometry.kernel[...] = jnp.array([[0.0], [0.0], [-jnp.pi], [0.0]])
+            self.value_geometry.kernel[...] = jnp.array(shares)[:, None]
         if validity_head:
-            self.validity_node = linear(pair_features + c, bias=True)
-            self.validity_length = linear(1, c // 2)
-            self.validity_hidden = linear(c, bias=True)
-            self.validity_out = linear(c, 1, bias=True)
+            self.validity = ValidityHead(pair_features + c, c, workspace_points, rngs=rngs)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -178,11 +189,18 @@ class GuidanceNetwork(nnx.Module):
             "workspace_upper": self.workspace_upper,
             "geometric_features": self.geometric_features,
             "validity_head": self.validity_head,
+            "workspace_points": self.workspace_points,
         }
 
     # ---------------------------------------------------------------- once a query
 
-    def encode(self, roadmap: Roadmap, scene: Scene, max_edges: int | None = None) -> Encoding:
+    def encode(
+        self,
+        roadmap: Roadmap,
+        scene: Scene,
+        max_edges: int | None = None,
+        point_distances: Callable[[Scene, jax.Array], jax.Array] | None = None,
+    ) -> Encoding:
         """Codes of all nodes, and every projection of them that a search step needs.
 
         Args:
@@ -190,7 +208,10 @@ class GuidanceNetwork(nnx.Module):
             scene: the obstacles.
             max_edges: room for directed edges; edges beyond it are ignored. All slots if None,
                 which is always enough but slow, as most slots are padding.
+            point_distances: from `workspace.py`; needed if the network has `workspace_points`.
         """
+        if self.workspace_points and point_distances is None:
+            raise ValueError("the network reads distances of the arm; give point_distances")
         max_edges = max_edges or roadmap.neighbors.size
         data = self.node_data(roadmap)
         graph: Graph = graphs_tuple(roadmap, max_edges)
@@ -205,11 +226,13 @@ class GuidanceNetwork(nnx.Module):
         if self.geometric_features:
             decoder_near += self.decoder_near_data(data)
             decoder_far += self.decoder_far_data(data)
+        validity = through = jnp.zeros(roadmap.neighbors.shape)
         if self.validity_head:
             ends = jnp.concatenate([features, environment], axis=-1)
-            validity = self.validity_node(ends)
-        else:
-            validity = jnp.zeros_like(environment)
+            near = functools.partial(point_distances, scene) if point_distances else None
+            validity = self.validity(roadmap, ends, near, max_edges)
+        if self.workspace_points:
+            through = cost_through(roadmap, validity) / jnp.pi
         return Encoding(
             code=code,
             environment=environment,
@@ -219,6 +242,7 @@ class GuidanceNetwork(nnx.Module):
             decoder_near=decoder_near,
             decoder_far=decoder_far,
             validity=validity,
+            through=through,
             goal_distance=jnp.linalg.norm(jnp.subtract(*jnp.split(data, 2, axis=-1)), axis=-1),
         )
 
@@ -324,6 +348,7 @@ class GuidanceNetwork(nnx.Module):
             roadmap.lengths[node],
             encoding.goal_distance[node],
             encoding.goal_distance[neighbors],
+            encoding.through[node],
         )
         return self._decode(near + encoding.decoder_far[neighbors], geometry)
 
@@ -332,10 +357,11 @@ class GuidanceNetwork(nnx.Module):
         return self.decoder_node(attended) + self.decoder_difference(attended)
 
     def _decode(
-        self, first: Float[Array, "rows C"], geometry: Float[Array, "rows 4"]
+        self, first: Float[Array, "rows C"], geometry: Float[Array, "rows G"]
     ) -> Float[Array, " rows"]:
         """The rest of `h_x`, then the MLP to the guidance value."""
         if self.geometric_features:
+            geometry = geometry[:, : self.decoder_geometry.in_features]
             first = first + self.decoder_geometry(geometry)
         decoded = jax.nn.relu(self.decoder_out(jax.nn.relu(first)))
         values = self.value_out(jax.nn.relu(self.value_hidden(decoded)))
@@ -371,39 +397,16 @@ class GuidanceNetwork(nnx.Module):
 
         # One wide gather an end, as each costs a scatter in the gradient.
         near_nodes = self._decoder_near(attended) + encoding.decoder_near
-        shared = [encoding.validity, encoding.goal_distance[:, None]]
-        near = _add_dummy(jnp.concatenate([near_nodes, *shared], axis=-1))[graph.receivers]
-        far = _add_dummy(jnp.concatenate([encoding.decoder_far, *shared], axis=-1))[graph.senders]
-        c = self.channels
-        geometry = _edge_geometry(lengths, near[:, -1], far[:, -1])
-        values = self._decode(near[:, :c] + far[:, :c], geometry)
-        logits = self._validity(near[:, c:-1], far[:, c:-1], lengths)
-
+        shared = encoding.goal_distance[:, None]
+        near = _add_dummy(jnp.concatenate([near_nodes, shared], axis=-1))[graph.receivers]
+        far = _add_dummy(jnp.concatenate([encoding.decoder_far, shared], axis=-1))[graph.senders]
         # Row e of the compact list is the e-th slot that holds an edge; its padding is dropped.
         slots = jnp.nonzero(mask.ravel(), size=max_edges, fill_value=mask.size)[0]
-        both = jnp.stack([values, logits], axis=-1)
-        outputs = jnp.zeros((mask.size, 2)).at[slots].set(both, mode="drop")
-        outputs = outputs.reshape(*mask.shape, 2)
-        return EdgeOutputs(outputs[..., 0], outputs[..., 1])
-
-    def _validity(
-        self,
-        near: Float[Array, "E C"],
-        far: Float[Array, "E C"],
-        lengths: Float[Array, " E"],
-    ) -> Float[Array, " E"]:
-        """Logit that an edge is collision-free, the same in both directions by construction.
-
-        Half of the channels add up over the two ends, half are compared.
-        """
-        if not self.validity_head:
-            return jnp.zeros_like(lengths)
-        half = self.channels // 2
-        total = near[:, :half] + far[:, :half] + self.validity_length(lengths[:, None] / jnp.pi)
-        difference = jnp.abs(near[:, half:] - far[:, half:])
-        first = jnp.concatenate([jax.nn.relu(total), difference], axis=-1)
-        hidden = jax.nn.relu(self.validity_hidden(first))
-        return self.validity_out(hidden)[:, 0]
+        through = encoding.through.ravel()[jnp.minimum(slots, mask.size - 1)]
+        geometry = _edge_geometry(lengths, near[:, -1], far[:, -1], through)
+        values = self._decode(near[:, :-1] + far[:, :-1], geometry)
+        values = jnp.zeros(mask.size).at[slots].set(values, mode="drop").reshape(mask.shape)
+        return EdgeOutputs(values, encoding.validity)
 
 
 def _add_dummy(rows: Float[Array, "N F"]) -> Float[Array, "M F"]:
@@ -415,10 +418,14 @@ def _edge_geometry(
     lengths: Float[Array, " E"],
     near: Float[Array, "*scalar_or_E"],
     far: Float[Array, " E"],
-) -> Float[Array, "E 4"]:
-    """Length, goal distances of both ends, and progress per length; distances in units of pi."""
+    through: Float[Array, " E"],
+) -> Float[Array, "E 5"]:
+    """Length, goal distances of both ends, progress per length, and the likely cost of the way.
+
+    Distances in units of pi.
+    """
     lengths = lengths / jnp.pi
     progress = (near - far) / jnp.maximum(lengths, 1e-6)
     near = jnp.broadcast_to(near, far.shape)
     # Padded slots have no length, and a padding row may pair nodes that are far apart.
-    return jnp.stack([lengths, near, far, jnp.clip(progress, -1.0, 1.0)], axis=-1)
+    return jnp.stack([lengths, near, far, jnp.clip(progress, -1.0, 1.0), through], axis=-1)

@@ -40,6 +40,7 @@ from gnnjax.search import (
     network_scorer,
     oracle_scorer,
 )
+from gnnjax.workspace import point_distances
 
 Method = Literal["gnn", "distance", "oracle", "prm", "lazysp"]
 
@@ -125,6 +126,7 @@ class Planner:
         self.num_nodes, self.max_roadmaps = num_nodes, max_roadmaps
         self.radius = default_radius(robot, num_nodes)
         # Apart, so that weights are arguments of the compiled functions and not constants in them.
+        self.network = network
         self._graphdef, self._weights = (None, None) if network is None else nnx.split(network)
 
     def use_weights(self, weights: Any) -> None:
@@ -295,6 +297,9 @@ class Planner:
             self.robot, self.checker, axis_aligned=axis_aligned, max_boxes=max_boxes
         )
 
+        points = 0 if self.network is None else self.network.workspace_points
+        distances = point_distances(self.robot, points) if points else None
+
         def build_one(key: jax.Array, problem: Problem) -> SampledRoadmap:
             check = functools.partial(checker.check_configurations, problem.scene)
             return sample_roadmap(
@@ -310,7 +315,7 @@ class Planner:
         def search_one(weights, roadmap: Roadmap, scene: Scene, status: jax.Array) -> SearchResult:
             network = None if self._graphdef is None else nnx.merge(self._graphdef, weights)
             check = functools.partial(checker.check_edges, scene)
-            return search_roadmap(self.method, roadmap, scene, check, network, status)
+            return search_roadmap(self.method, roadmap, scene, check, network, distances, status)
 
         @jax.jit
         def build(seed, attempt, problems: Problem, active: jax.Array) -> SampledRoadmap:
@@ -355,6 +360,7 @@ def search_roadmap(
     scene: Scene,
     check_edges: Callable[[jax.Array, jax.Array], EdgeChecks],
     network: GuidanceNetwork | None,
+    point_distances: Callable[[Scene, jax.Array], jax.Array] | None,
     status: jax.Array,
 ) -> SearchResult:
     """Searches one roadmap by a named method.
@@ -365,6 +371,7 @@ def search_roadmap(
         scene: what the network sees of the obstacles.
         check_edges: `(starts [E D], ends [E D]) -> EdgeChecks [E]`.
         network: for the method "gnn".
+        point_distances: of the arm, if the network reads them.
         status: what is known of its edges.
     """
 
@@ -373,7 +380,8 @@ def search_roadmap(
         return EdgeChecks(checks.valid[0], checks.num_checks[0])
 
     if network is not None:
-        encoding = network.encode(roadmap, scene, edge_bucket(len(roadmap.nodes)))
+        max_edges = edge_bucket(len(roadmap.nodes))
+        encoding = network.encode(roadmap, scene, max_edges, point_distances)
         return greedy_search(
             roadmap, network_scorer(network, encoding, roadmap), check_edge, status
         )

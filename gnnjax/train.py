@@ -29,7 +29,8 @@ from gnnjax.losses import graph_losses
 from gnnjax.model import GuidanceNetwork
 from gnnjax.planner import Planner, cache_compilations
 from gnnjax.problem import Problem, load_problems
-from gnnjax.robot import load_robot
+from gnnjax.robot import Robot, load_robot
+from gnnjax.workspace import point_distances
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +50,7 @@ class TrainConfig:
     seed: int = 0
     """Of the weights, the order of the data and the walks."""
 
-    epochs: int = 40
+    epochs: int = 24
     """Passes over the data."""
     batch_size: int = 16
     """Roadmaps a step."""
@@ -71,12 +72,14 @@ class TrainConfig:
     """Weight of learning which edges are valid; 0 for no such head."""
     geometric_features: bool = True
     """See `GuidanceNetwork`."""
+    workspace_points: int = 12
+    """See `GuidanceNetwork`."""
     num_dof: int = 7
     """See `GuidanceNetwork`."""
     channels: int = 32
     """See `GuidanceNetwork`."""
 
-    validate_every: int = 5
+    validate_every: int = 4
     """Epochs between validations, which plan, and checkpoints."""
     validation_problems: int = 100
     """Problems to plan; drawn apart from all others."""
@@ -95,6 +98,7 @@ PRESETS = {
         temperature=0.0,
         validity_weight=0.0,
         geometric_features=False,
+        workspace_points=0,
     ),
     # A tiny network for a few steps, to see that everything runs.
     "smoke": TrainConfig(
@@ -132,14 +136,17 @@ def make_optimizer(config: TrainConfig, num_steps: int) -> optax.GradientTransfo
 
 
 def make_step(
-    graphdef: Any, optimizer: optax.GradientTransformation, config: TrainConfig
+    graphdef: Any, optimizer: optax.GradientTransformation, robot: Robot, config: TrainConfig
 ) -> Callable[[TrainState, LabelledRoadmap, jax.Array], tuple[TrainState, dict[str, jax.Array]]]:
     """The jitted step: one batch of roadmaps, gradients added graph by graph."""
 
     options = {name: getattr(config, name) for name in LOSS_OPTIONS}
 
+    points = config.workspace_points
+    distances = point_distances(robot, points) if points else None
+
     def loss(weights: Any, data: LabelledRoadmap, key: jax.Array):
-        losses = graph_losses(nnx.merge(graphdef, weights), data, key, **options)
+        losses = graph_losses(nnx.merge(graphdef, weights), data, key, distances, **options)
         return losses["loss"], losses
 
     gradient_of = jax.value_and_grad(loss, has_aux=True)
@@ -192,6 +199,7 @@ def train(config: TrainConfig) -> Path:
         channels=config.channels,
         geometric_features=config.geometric_features,
         validity_head=config.validity_weight > 0,
+        workspace_points=config.workspace_points,
         rngs=nnx.Rngs(config.seed),
     )
     num_nodes = int(data.roadmap.node_mask.sum(axis=1).max())
@@ -201,7 +209,7 @@ def train(config: TrainConfig) -> Path:
     )
     graphdef, weights = nnx.split(network)
     optimizer = make_optimizer(config, num_steps)
-    step = make_step(graphdef, optimizer, config)
+    step = make_step(graphdef, optimizer, robot, config)
     state = TrainState(weights, optimizer.init(weights))
 
     checkpoints = TrainingCheckpoints(config.out / "checkpoints", network, _settings(config))
