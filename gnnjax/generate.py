@@ -17,9 +17,9 @@ import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.collision import Backend, boxes_clear, make_checker
+from gnnjax.compilation import cache_compilations, over_problems
 from gnnjax.errors import InputError, run_command
 from gnnjax.labels import Labels, edge_validity, label_roadmap
-from gnnjax.planner import cache_compilations, over_problems
 from gnnjax.problem import (
     MANIFEST,
     Problem,

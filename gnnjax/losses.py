@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
+from gnnjax.encoding import Encoding
 from gnnjax.generate import LabelledRoadmap
-from gnnjax.model import Encoding, GuidanceNetwork
+from gnnjax.model import GuidanceNetwork
 from gnnjax.roadmap import edge_bucket
 from gnnjax.scene import Scene
 from gnnjax.search import GOAL, START

@@ -15,7 +15,7 @@ model first:
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ import jraph
 from flax import nnx
 from jaxtyping import Array, Float, Int
 
+from gnnjax.encoding import EdgeOutputs, Encoding, PathState
 from gnnjax.errors import InputError
 from gnnjax.occupancy import HalvingConv, occupancy_grid
 from gnnjax.roadmap import Roadmap, graphs_tuple
@@ -31,37 +32,6 @@ from gnnjax.validity import ValidityHead, cost_through
 
 GOAL = 1  # node index of the goal in every roadmap
 Graph = Any  # jraph.GraphsTuple, whose fields are typed too widely for a type checker to be of use
-
-
-class Encoding(NamedTuple):
-    """What the network knows of a query before the first step. Row i belongs to node i."""
-
-    code: Float[Array, "*batch N C"]  # x, what the GRU reads
-    environment: Float[Array, "*batch N C"]  # o
-    key: Float[Array, "*batch N C"]  # K_e
-    value: Float[Array, "*batch N C"]  # V_e
-    self_score: Float[Array, "*batch N"]  # Q_e,i . K_e,i, before scaling
-    decoder_near: Float[Array, "*batch N C"]  # share of node i in its decoder rows
-    decoder_far: Float[Array, "*batch N C"]  # share of node j in the decoder rows that end there
-    validity: Float[Array, "*batch N K"]  # logit that a slot's edge is free; symmetric
-    through: Float[Array, "*batch N K"]  # likely cost of the way through a neighbor, units of pi
-    goal_distance: Float[Array, "*batch N"]  # Euclidean, in units of pi
-
-
-class PathState(NamedTuple):
-    """The path walked so far: a GRU state, and a memory of its last L nodes."""
-
-    hidden: Float[Array, "*batch C"]
-    queries: Float[Array, "*batch L C"]  # Q_p, a ring once more than L nodes are walked
-    values: Float[Array, "*batch L C"]  # V_p
-    length: Int[Array, "*batch"]  # nodes walked
-
-
-class EdgeOutputs(NamedTuple):
-    """Outputs for every slot of a roadmap. Zero on padding; callers mask."""
-
-    values: Float[Array, "*batch N K"]  # guidance values, larger is better
-    validity: Float[Array, "*batch N K"]  # logit that the edge is collision-free; symmetric
 
 
 class GuidanceNetwork(nnx.Module):

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from gnnjax.certify import certify_edges, configuration_clearance
 from gnnjax.checkpoint import load_network, shipped_weights
 from gnnjax.collision import Backend, EdgeChecks, boxes_clear, make_checker
+from gnnjax.compilation import cache_compilations, over_problems
 from gnnjax.errors import InputError
 from gnnjax.labels import cost_to_go, edge_validity, next_slots
 from gnnjax.model import GuidanceNetwork
@@ -333,27 +334,6 @@ class Planner:
         return build, search, jax.jit(base_clear)
 
 
-def over_problems(function: Callable, active: jax.Array, *args):
-    """Maps `function` over the leading axis of `args`; zeros where not `active`.
-
-    One problem after the other on a CPU, whose cores a single problem keeps busy; side by side on
-    an accelerator.
-    """
-    if jax.default_backend() != "cpu":
-        return jax.vmap(function)(*args)
-    blank = jax.eval_shape(function, *jax.tree.map(lambda x: x[0], args))
-
-    def one(turn):
-        wanted, *own = turn
-        return jax.lax.cond(
-            wanted,
-            lambda: function(*own),
-            lambda: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), blank),
-        )
-
-    return jax.lax.map(one, (active, *args))
-
-
 def search_roadmap(
     method: Method,
     roadmap: Roadmap,
@@ -405,11 +385,3 @@ def search_roadmap(
         jnp.where(first, labelled.num_checks, 0),
         jnp.where(usable, VALID, INVALID).astype(jnp.int8),
     )
-
-
-def cache_compilations() -> None:
-    """Keeps compiled code in the user's cache folder, unless JAX was already told where."""
-    if jax.config.jax_compilation_cache_dir is None:
-        folder = Path.home() / ".cache" / "gnnjax" / "jax"
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.collision import EdgeChecks
+from gnnjax.encoding import Encoding
 from gnnjax.labels import cost_to_go, next_slots
-from gnnjax.model import Encoding, GuidanceNetwork
+from gnnjax.model import GuidanceNetwork
 from gnnjax.roadmap import Roadmap, reverse_slots
 
 START, GOAL = 0, 1

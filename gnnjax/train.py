@@ -23,11 +23,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tensorboardX import SummaryWriter
 
 from gnnjax.checkpoint import TrainingCheckpoints, save_network
+from gnnjax.compilation import cache_compilations
 from gnnjax.errors import InputError, atomic_write, run_command
 from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled, problem_keys
 from gnnjax.losses import graph_losses
 from gnnjax.model import GuidanceNetwork
-from gnnjax.planner import Planner, cache_compilations
+from gnnjax.planner import Planner
 from gnnjax.problem import Problem, load_problems
 from gnnjax.robot import Robot, load_robot
 from gnnjax.workspace import point_distances

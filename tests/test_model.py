@@ -69,21 +69,27 @@ def random_scene(seed=0, num_boxes=4, padding=2) -> Scene:
     )
 
 
-def small_network(extended: bool) -> GuidanceNetwork:
+def small_network(kind: str) -> GuidanceNetwork:
     return GuidanceNetwork(
         channels=8,
         grid_size=8,
         max_path=6,
-        geometric_features=extended,
-        validity_head=extended,
+        geometric_features=kind != "paper",
+        validity_head=kind != "paper",
+        workspace_points=4 if kind == "workspace" else 0,
         rngs=nnx.Rngs(0),
     )
 
 
-def make_model(extended: bool):
+def fake_distances(scene, q):
+    """Distances of four points of a make-believe arm to the first box."""
+    return 0.3 * jnp.sin(q[:, :4] + scene.centers[0, 0])
+
+
+def make_model(kind: str):
     """A small network with random weights everywhere, also where training starts from zero."""
     # The initializers would take longer to compile than the tests to run.
-    graphdef, shapes = nnx.split(nnx.eval_shape(lambda: small_network(extended)))
+    graphdef, shapes = nnx.split(nnx.eval_shape(lambda: small_network(kind)))
     rng = np.random.default_rng(1)
     params = jax.tree.map(
         lambda x: jnp.asarray(rng.normal(size=x.shape) / np.sqrt(x.shape[0]), jnp.float32), shapes
@@ -110,7 +116,9 @@ def make_model(extended: bool):
         net=merged(params),
         graphdef=graphdef,
         params=params,
-        encode=jax.jit(lambda p, r, s, e=None: merged(p).encode(r, s, e), static_argnums=3),
+        encode=jax.jit(
+            lambda p, r, s, e=None: merged(p).encode(r, s, e, fake_distances), static_argnums=3
+        ),
         outputs=jax.jit(lambda p, c, r, e=None: merged(p).edge_outputs(c, r, e), static_argnums=3),
         walk=jax.jit(walk),
         values=jax.jit(values),
@@ -119,10 +127,10 @@ def make_model(extended: bool):
 
 @pytest.fixture(scope="module")
 def models():
-    return {"paper": make_model(extended=False), "extended": make_model(extended=True)}
+    return {kind: make_model(kind) for kind in ("paper", "extended", "workspace")}
 
 
-@pytest.fixture(params=["paper", "extended"])
+@pytest.fixture(params=["paper", "extended", "workspace"])
 def model(request, models):
     return models[request.param]
 
@@ -190,6 +198,9 @@ def decode(net, encoding, path, roadmap, nodes, node, neighbor):
         near, far = np.linalg.norm(q[node] - goal), np.linalg.norm(q[neighbor] - goal)
         length = np.linalg.norm(q[node] - q[neighbor])
         geometry = np.array([length, near, far, (near - far) / length])
+        if net.workspace_points:
+            slot = np.argmax(np.asarray(roadmap.neighbors[node]) == neighbor)
+            geometry = np.append(geometry, encoding.through[node, slot])
         first = first + linear(net.decoder_near_data, np.append(q[node], goal))
         first = first + linear(net.decoder_far_data, np.append(q[neighbor], goal))
         first = first + linear(net.decoder_geometry, geometry)
@@ -305,7 +316,7 @@ def test_edge_outputs_agree_with_a_search_that_starts_at_each_node(model):
 
 
 def test_validity_is_the_same_in_both_directions(models):
-    model = models["extended"]
+    model = models["workspace"]
     nodes, adjacent = random_graph()
     roadmap = make_roadmap(nodes, adjacent)
     encoding = model.encode(model.params, roadmap, random_scene())
@@ -318,7 +329,7 @@ def test_validity_is_the_same_in_both_directions(models):
 
 
 def test_padding_changes_nothing(models):
-    model = models["extended"]
+    model = models["workspace"]
     nodes, adjacent = random_graph()
     tight, scene = make_roadmap(nodes, adjacent), random_scene()
     loose = make_roadmap(nodes, adjacent, num_slots=11, num_nodes=17)
@@ -359,7 +370,7 @@ def test_renumbering_the_nodes_renumbers_the_values(model):
 
 
 def test_a_batch_equals_a_loop(models):
-    model = models["extended"]
+    model = models["workspace"]
     roadmaps = [make_roadmap(*random_graph(seed)) for seed in range(3)]
     scenes = [random_scene(seed) for seed in range(3)]
 
@@ -376,7 +387,7 @@ def test_a_batch_equals_a_loop(models):
 
 
 def test_a_six_joint_arm_is_a_seven_joint_arm_whose_last_joint_stays_at_zero(models):
-    model = models["extended"]
+    model = models["workspace"]
     nodes, adjacent = random_graph(num_dof=6)
     six = make_roadmap(nodes, adjacent)
     seven = make_roadmap(np.pad(nodes, ((0, 0), (0, 1))), adjacent)
@@ -392,7 +403,7 @@ def test_too_many_joints_are_named(models):
 
 def test_the_untrained_network_prefers_the_neighbor_nearest_to_the_goal(models):
     model = models["extended"]
-    _, params = nnx.split(nnx.jit(lambda: small_network(extended=True))())
+    _, params = nnx.split(nnx.jit(lambda: small_network("extended"))())
     nodes, adjacent = random_graph()
     roadmap = make_roadmap(nodes, adjacent)
     outputs = model.outputs(params, model.encode(params, roadmap, random_scene()), roadmap)
@@ -402,12 +413,12 @@ def test_the_untrained_network_prefers_the_neighbor_nearest_to_the_goal(models):
 
 
 def test_every_weight_is_reached_by_a_gradient(models):
-    model = models["extended"]
+    model = models["workspace"]
     roadmap, scene = make_roadmap(*random_graph()), random_scene()
 
     def loss(params):
         net = nnx.merge(model.graphdef, params)
-        encoding = net.encode(roadmap, scene)
+        encoding = net.encode(roadmap, scene, None, fake_distances)
         state = net.init_path()
         for node in WALK[:2]:
             state = net.extend_path(encoding, state, node)

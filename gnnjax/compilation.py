@@ -1,0 +1,36 @@
+"""How work is compiled and spread: the cache of compiled code, and the axis of many problems."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+
+def cache_compilations() -> None:
+    """Keeps compiled code in the user's cache folder, unless JAX was already told where."""
+    if jax.config.jax_compilation_cache_dir is None:
+        folder = Path.home() / ".cache" / "gnnjax" / "jax"
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def over_problems(function: Callable, active: jax.Array, *args):
+    """Maps `function` over the leading axis of `args`; zeros where not `active`.
+
+    One problem after the other on a CPU, whose cores a single problem keeps busy; side by side on
+    an accelerator.
+    """
+    if jax.default_backend() != "cpu":
+        return jax.vmap(function)(*args)
+    blank = jax.eval_shape(function, *jax.tree.map(lambda x: x[0], args))
+
+    def one(turn):
+        wanted, *own = turn
+        return jax.lax.cond(
+            wanted,
+            lambda: function(*own),
+            lambda: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), blank),
+        )
+
+    return jax.lax.map(one, (active, *args))

@@ -1,0 +1,126 @@
+"""Distances of the arm's points, and the edge validity and prices that come from them."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from flax import nnx
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial.transform import Rotation
+
+from gnnjax.roadmap import connect
+from gnnjax.robot import load_robot
+from gnnjax.scene import make_scene
+from gnnjax.validity import RISK_WEIGHT, ValidityHead, cost_through, edge_distances
+from gnnjax.workspace import choose_points, point_distances
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+def random_scene(rng, num=4):
+    quats = rng.normal(size=(num, 4))
+    return make_scene(rng.uniform(-0.8, 0.8, (num, 3)), rng.uniform(0.05, 0.4, (num, 3)), quats)
+
+
+def signed_distance(point, center, half_extents, quat):
+    local = Rotation.from_quat(quat, scalar_first=True).inv().apply(point - center)
+    beyond = np.abs(local) - half_extents
+    return np.linalg.norm(np.maximum(beyond, 0)) + min(beyond.max(), 0)
+
+
+def test_distances_agree_with_mujocos_points_and_plain_geometry(tiny_path):
+    robot, rng = load_robot(tiny_path), np.random.default_rng(0)
+    scene = random_scene(rng)
+    q = rng.uniform(robot.joint_lower, robot.joint_upper, (20, 3)).astype(np.float32)
+    found = jax.jit(point_distances(robot, 3))(jax.tree.map(jnp.asarray, scene), jnp.asarray(q))
+    data, geoms = mujoco.MjData(robot.mj_model), robot.geom_ids[list(choose_points(robot, 3))]
+    signs = set()
+    for row, configuration in zip(np.asarray(found), q, strict=True):
+        data.qpos[:] = configuration
+        mujoco.mj_kinematics(robot.mj_model, data)
+        for value, geom in zip(row, geoms, strict=True):
+            boxes = zip(scene.centers, scene.half_extents, scene.quats, scene.mask, strict=True)
+            expected = min(signed_distance(data.geom_xpos[geom], *b) for *b, m in boxes if m)
+            np.testing.assert_allclose(value, expected, atol=2e-6)
+            signs.add(expected > 0)
+    assert signs == {True, False}
+
+
+def test_a_scene_without_boxes_is_far_away(tiny_path):
+    robot = load_robot(tiny_path)
+    scene = jax.tree.map(jnp.asarray, make_scene([], []))
+    found = point_distances(robot, 3)(scene, jnp.zeros((2, 3)))
+    np.testing.assert_array_equal(found, 10.0)
+
+
+@pytest.mark.parametrize("name", ["kuka_iiwa14", "kinova_gen3"])
+def test_points_are_spread_over_the_moving_arm(name):
+    robot = load_robot(name)
+    points = choose_points(robot, 12)
+    assert len(set(points)) == 12
+    bodies = robot.geom_bodies[list(points)]
+    assert (np.diff(bodies) >= 0).all()  # from the base to the tip
+    assert bodies.min() > 0
+    assert len(set(bodies.tolist())) >= 5
+
+
+def test_an_arm_with_few_geoms_repeats_some(tiny_path):
+    points = choose_points(load_robot(tiny_path), 5)
+    assert len(points) == 5
+    assert len(set(points)) == 3
+
+
+def make_roadmap(num=30):
+    nodes = jax.random.uniform(jax.random.key(0), (num, 3))
+    return connect(nodes, jnp.ones(num, bool), 0.5, 20)
+
+
+def distances(q):
+    return jnp.stack([jnp.sin(9 * q[:, 0]), jnp.cos(7 * q[:, 1])], axis=1)
+
+
+def test_edge_distances_do_not_depend_on_the_direction():
+    nodes = make_roadmap().nodes
+    near, far = jnp.arange(10), jnp.arange(10, 20)
+    there, back = (edge_distances(nodes, *e, distances) for e in ((near, far), (far, near)))
+    np.testing.assert_allclose(there, back, atol=1e-5)
+    middle = (nodes[near] + nodes[far]) / 2
+    np.testing.assert_allclose(there[:, -2:], distances(middle), atol=1e-5)
+    ends = np.stack([distances(nodes[near]), distances(nodes[far])])
+    np.testing.assert_allclose(there[:, :2], ends.min(axis=0), atol=1e-6)
+    np.testing.assert_allclose(there[:, 2:4], ends.max(axis=0), atol=1e-6)
+
+
+def test_logits_are_symmetric_and_zero_on_padding():
+    roadmap = make_roadmap()
+    head = ValidityHead(3, 8, 2, rngs=nnx.Rngs(0))
+    logits = np.asarray(head(roadmap, roadmap.nodes, distances, roadmap.neighbors.size))
+    mask = np.asarray(roadmap.neighbor_mask)
+    assert (logits[~mask] == 0).all()
+    table = np.full((30, 30), np.nan)
+    for i, k in np.argwhere(mask):
+        table[i, roadmap.neighbors[i, k]] = logits[i, k]
+    np.testing.assert_array_equal(table, table.T)
+    assert np.nanstd(table) > 1e-3
+
+
+def test_the_cost_through_a_neighbor_agrees_with_dijkstra():
+    roadmap = make_roadmap()
+    mask = np.asarray(roadmap.neighbor_mask)
+    neighbors = np.asarray(roadmap.neighbors)
+    logits = np.zeros(mask.shape, np.float32)
+    rng, price = np.random.default_rng(0), np.zeros((30, 30))
+    draws = rng.normal(scale=3, size=(30, 30))
+    for i, k in np.argwhere(mask):
+        a, b = sorted((i, neighbors[i, k]))
+        logits[i, k] = draws[a, b]
+        price[i, neighbors[i, k]] = roadmap.lengths[i, k] + RISK_WEIGHT * np.log1p(
+            np.exp(-draws[a, b])
+        )
+    cost = dijkstra(csr_matrix(price), indices=1)
+    through = np.asarray(cost_through(roadmap, jnp.asarray(logits)))
+    for i, k in np.argwhere(mask):
+        j = neighbors[i, k]
+        np.testing.assert_allclose(through[i, k], price[i, j] + cost[j], rtol=1e-4)
