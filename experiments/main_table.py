@@ -32,6 +32,8 @@ SETS = {
 class TableConfig:
     """Evaluate every planner and write the README's tables."""
 
+    robot: str = "kuka_iiwa14"
+    """The arm of the problems."""
     planners: tuple[str, ...] = get_args(Method)
     """Rows of the tables."""
     num_nodes: tuple[int, ...] = (200, 400, 600, 800, 1000)
@@ -54,6 +56,7 @@ def run(config: TableConfig) -> None:
                 settings = EvaluateConfig(
                     problems=path,
                     json=out,
+                    robot=config.robot,
                     planner=planner,
                     num_nodes=num_nodes,
                     num_problems=config.num_problems,

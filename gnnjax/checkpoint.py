@@ -48,7 +48,7 @@ def save_network(folder: str | Path, network: GuidanceNetwork, training: dict[st
         checkpointer.save(
             Path(folder).resolve(),
             args=ocp.args.Composite(
-                weights=ocp.args.StandardSave(nnx.state(network, nnx.Param).to_pure_dict()),
+                weights=ocp.args.StandardSave(nnx.to_pure_dict(nnx.state(network, nnx.Param))),
                 meta=ocp.args.JsonSave(metadata(network, training)),
             ),
             force=True,
@@ -84,18 +84,24 @@ def load_network(folder: str | Path) -> GuidanceNetwork:
     folder = Path(folder).resolve()
     meta = read_metadata(folder)
     try:
-        network = GuidanceNetwork(**meta["model"], rngs=nnx.Rngs(0))
+        # Shapes alone: drawing initial weights to throw them away takes seconds.
+        blank = nnx.eval_shape(lambda: GuidanceNetwork(**meta["model"], rngs=nnx.Rngs(0)))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"checkpoint {str(folder)!r} describes no network of this version ({error}); "
             "train again"
         ) from None
-    blank = nnx.state(network, nnx.Param)
-    shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, blank.to_pure_dict())
-    weights = _restore(folder, weights=ocp.args.StandardRestore(shapes))["weights"]
-    blank.replace_by_pure_dict(weights)
-    nnx.update(network, blank)
-    return network
+    graphdef, shapes = nnx.split(blank)
+    target = _on_this_device(nnx.to_pure_dict(shapes))
+    weights = _restore(folder, weights=ocp.args.StandardRestore(target))["weights"]
+    nnx.replace_by_pure_dict(shapes, weights)
+    return nnx.merge(graphdef, shapes)
+
+
+def _on_this_device(shapes: Any) -> Any:
+    """Says where restored arrays go, wherever they were when they were saved."""
+    sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding), shapes)
 
 
 class TrainingCheckpoints:
@@ -126,7 +132,7 @@ class TrainingCheckpoints:
     def save(self, epoch: int, state: Any) -> None:
         """Writes `state` (weights, optimizer) after an epoch."""
         items = ocp.args.Composite(
-            weights=ocp.args.StandardSave(state.weights.to_pure_dict()),
+            weights=ocp.args.StandardSave(nnx.to_pure_dict(state.weights)),
             optimizer=ocp.args.StandardSave(jax.tree.leaves(state.optimizer)),
             meta=ocp.args.JsonSave(self._meta),
         )
@@ -150,8 +156,8 @@ class TrainingCheckpoints:
                     f"the run in {str(self.folder)!r} has {name} {theirs.get(name)!r}, not "
                     f"{ours.get(name)!r}; go on with the same settings"
                 )
-        weights, optimizer = state.weights.to_pure_dict(), jax.tree.leaves(state.optimizer)
-        shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, (weights, optimizer))
+        weights, optimizer = nnx.to_pure_dict(state.weights), jax.tree.leaves(state.optimizer)
+        shapes = _on_this_device((weights, optimizer))
         items = _restore(
             folder,
             weights=ocp.args.StandardRestore(shapes[0]),
@@ -159,7 +165,7 @@ class TrainingCheckpoints:
         )
         structure = jax.tree.structure(state.optimizer)
         restored = jax.tree.map(lambda x: x, state.weights)
-        restored.replace_by_pure_dict(items["weights"])
+        nnx.replace_by_pure_dict(restored, items["weights"])
         return epoch, state._replace(
             weights=restored, optimizer=jax.tree.unflatten(structure, items["optimizer"])
         )

@@ -27,28 +27,41 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
         path: `[L, D]` configurations.
         out: picture file; its ending chooses the format.
     """
-    figure = Figure(figsize=(9, 4.5), layout="constrained")
-    shots = _along(path, 9)
+    figure = Figure(figsize=(9, 4.4), layout="constrained")
+    shots = _along(path, 7)
     positions, rotations = (np.asarray(x) for x in forward_kinematics(robot, jnp.asarray(shots)))
+    tip = np.asarray(forward_kinematics(robot, jnp.asarray(_along(path, 200)))[0])[:, -1]
     colors = matplotlib.colormaps["coolwarm"](np.linspace(0, 1, len(shots)))
-    sphere = _unit_sphere()
+    sphere, geoms = _unit_sphere(), np.flatnonzero(robot.geom_bodies >= 0)
+    bodies = robot.geom_bodies[geoms]
     for column, azimuth in enumerate((-60, 30), start=1):
-        axes = figure.add_subplot(1, 2, column, projection="3d")
+        axes = figure.add_subplot(1, 2, column, projection="3d", computed_zorder=True)
         _draw_boxes(axes, scene)
+        axes.plot(*tip.T, color="black", linewidth=1.2, linestyle=":")
         for shot, color in enumerate(colors):
-            ends = shot in (0, len(shots) - 1)
-            axes.plot(*positions[shot].T, color=color, linewidth=2.5, zorder=5)
-            for g in range(len(robot.geom_radii)) if ends else ():
-                body = robot.geom_bodies[g]
-                if body < 0:
-                    continue
-                center = positions[shot, body] + rotations[shot, body] @ robot.geom_centers[g]
-                surface = center[:, None, None] + robot.geom_radii[g] * sphere
-                axes.plot_surface(*surface, color=color, alpha=0.25, linewidth=0, shade=True)
-        axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(0, 1.5), xlabel="x [m]", ylabel="y [m]")
-        axes.set_box_aspect((2, 2, 1.5))
+            at_end = shot in (0, len(shots) - 1)
+            centers = np.einsum("gij,gj->gi", rotations[shot, bodies], robot.geom_centers[geoms])
+            centers = (centers + positions[shot, bodies])[:, None, None]
+            surfaces = centers + robot.geom_radii[geoms][:, None, None, None] * sphere
+            light = 0.7 + 0.3 * sphere.mean(axis=1) @ (0.3, -0.5, 0.8)
+            shaded = np.clip(np.tile(light, len(geoms))[:, None] * color[:3], 0, 1)
+            axes.add_collection3d(
+                Poly3DCollection(
+                    surfaces.reshape(-1, 4, 3),
+                    facecolors=shaded,
+                    alpha=0.5 if at_end else 0.08,
+                    linewidth=0,
+                )
+            )
+        axes.set(xlim=(-0.9, 0.9), ylim=(-0.9, 0.9), zlim=(0, 1.35))
+        axes.set(xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5), zticks=(0, 0.5, 1))
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+        axes.set_box_aspect((1.8, 1.8, 1.35), zoom=1.15)
         axes.view_init(elev=22, azim=azimuth)
-    figure.suptitle(f"{robot.name}: from start (blue) to goal (red), {len(path)} configurations")
+    figure.suptitle(
+        f"{robot.name}: from start (blue) to goal (red) in {len(path) - 1} straight motions; "
+        "dotted: the last link"
+    )
     atomic_write(out, lambda file: figure.savefig(file, dpi=130))
 
 
@@ -74,8 +87,9 @@ def _along(path: np.ndarray, count: int) -> np.ndarray:
 
 
 def _unit_sphere() -> np.ndarray:
-    """`[3, 9, 13]` points on a unit sphere."""
-    polar, around = np.meshgrid(
-        np.linspace(0, np.pi, 9), np.linspace(0, 2 * np.pi, 13), indexing="ij"
-    )
-    return np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)])
+    """`[F, 4, 3]` corners of the faces of a unit sphere."""
+    polar, around = np.meshgrid(np.linspace(0, np.pi, 8), np.linspace(0, 2 * np.pi, 13))
+    grid = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)])
+    grid = np.moveaxis(grid, 0, -1)
+    corners = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    return np.stack(corners, axis=2).reshape(-1, 4, 3)

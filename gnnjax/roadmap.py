@@ -95,7 +95,11 @@ def connect(
     pair = node_mask[:, None] & node_mask[None, :] & ~jnp.eye(num, dtype=bool)
     within = pair & (squared <= jnp.square(radius))
     num_slots = min(num_slots, num)
-    negative, neighbors = jax.lax.top_k(jnp.where(within, -squared, -jnp.inf), num_slots)
+    # Without the barrier XLA:CPU takes this for a full sort once its results are used, which is
+    # eighteen times slower at a thousand nodes.
+    negative, neighbors = jax.lax.optimization_barrier(
+        jax.lax.top_k(jnp.where(within, -squared, -jnp.inf), num_slots)
+    )
     degree = within.sum(axis=1)
     # What a node with too many neighbours reaches; the others must respect it.
     reach = jnp.where(degree > num_slots, -negative[:, -1], jnp.inf)
@@ -157,10 +161,11 @@ def sample_roadmap(
 def reverse_slots(roadmap: Roadmap) -> Int[Array, "N K"]:
     """For each slot, the flat index (node * K + slot) of the same edge seen from its other end."""
     num, num_slots = roadmap.neighbors.shape
-    back = roadmap.neighbors[roadmap.neighbors]  # [N K K]
-    there = roadmap.neighbor_mask[roadmap.neighbors]
-    slot = jnp.argmax((back == jnp.arange(num)[:, None, None]) & there, axis=-1)
-    return roadmap.neighbors * num_slots + slot
+    own = jnp.broadcast_to(jnp.arange(num)[:, None], roadmap.neighbors.shape)
+    # Padding slots lead to their own node and would overwrite the entry of none but that.
+    slot = jnp.broadcast_to(jnp.arange(num_slots), roadmap.neighbors.shape)
+    table = jnp.zeros((num, num), jnp.int32).at[own, roadmap.neighbors].set(slot)
+    return roadmap.neighbors * num_slots + table[roadmap.neighbors, own]
 
 
 def edge_bucket(num_nodes: int) -> int:

@@ -9,9 +9,11 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from flax import nnx
 
 from gnnjax.certify import certify_edges, certify_path, configuration_clearance
 from gnnjax.errors import InputError
+from gnnjax.model import GuidanceNetwork
 from gnnjax.planner import Planner, load_planner
 from gnnjax.robot import load_robot
 from gnnjax.scene import make_scene
@@ -163,3 +165,20 @@ def test_the_command_says_in_one_line_what_is_wrong(tiny_path, tmp_path):
     assert done.stderr.startswith("error: box 0 of 'scene.json' has half_extents")
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "path.npz").exists()
+
+
+def test_an_arm_of_six_joints_plans_with_the_network_for_seven():
+    planner = load_planner("kinova_gen3", num_nodes=100, max_roadmaps=2)
+    assert planner.robot.num_dof == 6
+    assert planner.network.num_dof == 7
+    scene = make_scene([[0.5, 0.0, 0.5]], [[0.1, 0.1, 0.3]])
+    plan = planner.plan(scene, [-1.2, 0.6, -1.5, 0, -0.9, 0], [1.2, 0.6, -1.5, 0, -0.9, 0])
+    assert plan.success
+    assert plan.path.shape[1] == 6
+    assert certify_path(planner.robot, scene, plan.path)
+
+
+def test_a_network_for_fewer_joints_is_refused(tiny_path):
+    network = nnx.eval_shape(lambda: GuidanceNetwork(num_dof=2, channels=8, rngs=nnx.Rngs(0)))
+    with pytest.raises(InputError, match="made for up to 2 joints, tiny has 3; train one with"):
+        Planner(load_robot(tiny_path), "gnn", network=network)

@@ -1,0 +1,35 @@
+"""The notebooks run from top to bottom."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import nbformat
+import pytest
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_from_top_to_bottom(path, tmp_path):
+    notebook = nbformat.read(path, as_version=4)
+    installs = [cell for cell in notebook.cells if "%pip install" in cell.source]
+    assert len(installs) == 1
+    # The tests run in an environment in which it is installed.
+    notebook.cells.remove(installs[0])
+    copy = tmp_path / path.name
+    nbformat.write(notebook, copy)
+    command = [sys.executable, "-m", "nbconvert", "--to", "notebook", "--execute", "--stdout"]
+    cache = {"JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir or ""}
+    done = subprocess.run(
+        [*command, str(copy)], capture_output=True, text=True, env=os.environ | cache, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    executed = nbformat.reads(done.stdout, as_version=4)
+    code = [cell for cell in executed.cells if cell.cell_type == "code"]
+    assert all(cell.execution_count for cell in code)
+    printed = "".join(output.get("text", "") for cell in code for output in cell.outputs)
+    assert "certified: True" in printed
+    assert "lazysp, 200 nodes" in printed
