@@ -1,13 +1,15 @@
 """gnnjax: learned, batched motion planning for robot arms in JAX and MuJoCo."""
 
 from gnnjax.certify import certify_edges, certify_path
+from gnnjax.checkpoint import load_network, save_network
 from gnnjax.collision import Checker, EdgeChecks, boxes_clear, make_checker
 from gnnjax.errors import InputError
 from gnnjax.kinematics import forward_kinematics
 from gnnjax.labels import Labels, cost_to_go, edge_validity, label_roadmap
+from gnnjax.model import GuidanceNetwork
 from gnnjax.planner import Plan, Planner, load_planner
 from gnnjax.problem import Problem, ProblemSet, load_problems, sample_problem, save_problems
-from gnnjax.roadmap import Roadmap, connect, graphs_tuple, radius_for_degree
+from gnnjax.roadmap import Roadmap, connect, default_radius, graphs_tuple, sample_roadmap
 from gnnjax.robot import Robot, load_robot
 from gnnjax.sampling import Samples, sample_free
 from gnnjax.scene import Scene, make_scene, pad_scene, sample_scene, scene_from_json, scene_to_json
@@ -16,6 +18,7 @@ from gnnjax.search import Scorer, SearchResult, greedy_search, lazy_search
 __all__ = [
     "Checker",
     "EdgeChecks",
+    "GuidanceNetwork",
     "InputError",
     "Labels",
     "Plan",
@@ -33,22 +36,25 @@ __all__ = [
     "certify_path",
     "connect",
     "cost_to_go",
+    "default_radius",
     "edge_validity",
     "forward_kinematics",
     "graphs_tuple",
     "greedy_search",
     "label_roadmap",
     "lazy_search",
+    "load_network",
     "load_planner",
     "load_problems",
     "load_robot",
     "make_checker",
     "make_scene",
     "pad_scene",
-    "radius_for_degree",
     "sample_free",
     "sample_problem",
+    "sample_roadmap",
     "sample_scene",
+    "save_network",
     "save_problems",
     "scene_from_json",
     "scene_to_json",

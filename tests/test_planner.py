@@ -1,61 +1,21 @@
-"""Planning a query end to end, certification, and what bad input gets."""
+"""Planning a query end to end, and what bad input gets."""
 
-import itertools
 import json
 import subprocess
 import sys
 
 import jax
-import mujoco
 import numpy as np
 import pytest
 from flax import nnx
 
-from gnnjax.certify import certify_edges, certify_path, configuration_clearance
+from gnnjax.certify import certify_path, configuration_clearance
 from gnnjax.errors import InputError
 from gnnjax.model import GuidanceNetwork
 from gnnjax.planner import Planner, load_planner
 from gnnjax.robot import load_robot
 from gnnjax.scene import make_scene
-from gnnjax.world import build_world, place_boxes
-
-
-def random_scene(rng, num=3):
-    centers = rng.uniform(-0.9, 0.9, (num, 3))
-    # Far enough from the base, which is a ball of 0.1 m at the origin.
-    centers *= np.maximum(1, 0.5 / np.linalg.norm(centers, axis=1))[:, None]
-    quats = rng.normal(size=(num, 4))
-    return make_scene(centers, rng.uniform(0.03, 0.15, (num, 3)), quats)
-
-
-def collides_anywhere(robot, scene, path, step=0.002):
-    """Tests a path every `step` with MuJoCo's C engine."""
-    model = build_world(robot, len(scene.mask))
-    data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
-    for start, end in itertools.pairwise(path):
-        count = int(np.ceil(np.linalg.norm(end - start) / step))
-        for fraction in np.linspace(0, 1, count + 1):
-            data.qpos[:] = start + fraction * (end - start)
-            mujoco.mj_fwdPosition(model, data)
-            if (data.contact.dist[: data.ncon] < -1e-6).any():
-                return True
-    return False
-
-
-def test_certified_edges_are_free_in_a_fine_scan_and_most_free_edges_are_certified(tiny_path):
-    robot, rng = load_robot(tiny_path), np.random.default_rng(0)
-    free = certified = refuted = 0
-    for _ in range(40):
-        scene = random_scene(rng, num=5)
-        edge = rng.uniform(robot.joint_lower, robot.joint_upper, (2, 3))
-        edge[1] = edge[0] + 0.3 * (edge[1] - edge[0])
-        yes = certify_path(robot, scene, edge)
-        hit = collides_anywhere(robot, scene, edge)
-        assert not (yes and hit)
-        free, certified, refuted = free + (not hit), certified + yes, refuted + hit
-    assert certified >= 0.95 * free
-    assert refuted >= 5
+from tests.fine_scan import collides_anywhere, random_scene
 
 
 @pytest.mark.parametrize("method", ["lazysp", "distance", "prm", "oracle"])
@@ -117,14 +77,6 @@ def test_a_box_in_the_base_is_refused(tiny_path):
         Planner(load_robot(tiny_path)).plan(scene, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
 
 
-def test_a_motion_outside_the_joint_limits_is_not_certified(tiny_path):
-    scene = make_scene([], [])
-    edges = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([[1.0, 0, 0], [3.5, 0, 0]])
-    np.testing.assert_array_equal(
-        certify_edges(load_robot(tiny_path), scene, *edges), [True, False]
-    )
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -156,6 +108,15 @@ def test_the_command_plans_and_draws(tiny_path, tmp_path):
         assert file["path"].shape[1] == 3
         assert file["certified"]
     assert (tmp_path / "plan.png").stat().st_size > 10_000
+
+
+def test_the_command_exits_with_1_where_there_is_no_path(tiny_path, tmp_path):
+    # A wall in front of the arm, whose first joint cannot turn the other way round.
+    scene = {"boxes": [{"center": [0.6, 0, 0], "half_extents": [0.47, 0.02, 1.0]}]}
+    done = run_plan(tmp_path, tiny_path, scene, ["-1.5", "0", "0"], ["1.5", "0", "0"])
+    assert done.returncode == 1
+    assert "no path in the 2 roadmaps tried (60 nodes" in done.stdout
+    assert not (tmp_path / "path.npz").exists()
 
 
 def test_the_command_says_in_one_line_what_is_wrong(tiny_path, tmp_path):

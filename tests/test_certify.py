@@ -1,0 +1,93 @@
+"""Certification against a fine scan with MuJoCo's C engine."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from gnnjax.certify import certify_edges, certify_path
+from gnnjax.robot import load_robot
+from gnnjax.scene import make_scene
+from tests.fine_scan import collides_anywhere, random_scene
+
+# Skew axes, anchors off the origin, a reference angle, a slide joint and several joints on a body.
+ODD = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    <body pos="0.1 -0.2 0.3" quat="0.6 0.1 -0.7 0.2">
+      <joint axis="1 2 -0.5" pos="0.05 -0.03 0.2" range="-3 3"/>
+      <geom type="sphere" size="0.05" contype="1" conaffinity="1" mass="1"/>
+      <body pos="0 0 0.4" quat="1 0 0 1">
+        <joint type="slide" axis="0.3 0 1" range="-0.4 0.5" ref="0.1"/>
+        <joint axis="0 0 -1" pos="0.1 0 0" range="-2 2" ref="0.7"/>
+        <geom type="capsule" size="0.05" fromto="0 0 0 0.2 0 0.1" mass="1"/>
+        <body pos="0.2 0 0" quat="0 1 0 0">
+          <body pos="0 0.3 0">
+            <joint axis="0 -0.6 0.8" pos="0 0 -0.1" range="-2 2" ref="-0.4"/>
+            <geom type="sphere" size="0.06" pos="0.1 0 0" mass="1"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def robots(tiny_path, tmp_path_factory):
+    odd = tmp_path_factory.mktemp("robots") / "odd.xml"
+    odd.write_text(ODD)
+    return {
+        "tiny": load_robot(tiny_path),
+        "odd": load_robot(odd),
+        "kuka_iiwa14": load_robot("kuka_iiwa14"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "num_edges", "share"), [("tiny", 60, 0.95), ("odd", 60, 0.9), ("kuka_iiwa14", 16, 0.9)]
+)
+def test_certified_edges_are_free_in_a_fine_scan_and_most_free_edges_are_certified(
+    robots, name, num_edges, share
+):
+    robot, rng = robots[name], np.random.default_rng(0)
+    free = certified = refuted = 0
+    for _ in range(num_edges):
+        scene = random_scene(rng, num=5)
+        edge = rng.uniform(robot.joint_lower, robot.joint_upper, (2, robot.num_dof))
+        edge[1] = edge[0] + 0.3 * (edge[1] - edge[0])
+        yes = certify_path(robot, scene, edge)
+        hit = collides_anywhere(robot, scene, edge)
+        assert not (yes and hit)
+        free, certified, refuted = free + (not hit), certified + yes, refuted + hit
+    assert certified >= share * free > 0
+    assert refuted >= 3
+
+
+def test_a_collision_between_the_samples_of_a_planner_is_found(robots):
+    robot = robots["tiny"]
+    data = mujoco.MjData(robot.mj_model)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    tip, radius = data.geom_xpos[robot.geom_ids[-1]], robot.geom_radii[-1]
+    # The tip grazes a needle for 0.014 rad, in the middle between two configurations 0.05 apart.
+    edge = np.array([[1.3, 0.0, 0.0], [1.8, 0.0, 0.0]])
+    angle = np.arctan2(tip[1], tip[0]) + 1.525
+    reach = np.hypot(tip[0], tip[1]) + radius - 2e-4
+    center = [reach * np.cos(angle), reach * np.sin(angle), tip[2]]
+    scene = make_scene([center], [[1e-5, 1e-5, 1e-5]])
+    assert not collides_anywhere(robot, scene, edge, step=0.05)
+    assert collides_anywhere(robot, scene, edge, step=0.002)
+    assert not certify_path(robot, scene, edge)
+
+
+def test_a_motion_outside_the_joint_limits_is_not_certified(robots):
+    scene = make_scene([], [])
+    edges = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.array([[1.0, 0, 0], [3.5, 0, 0]])
+    np.testing.assert_array_equal(certify_edges(robots["tiny"], scene, *edges), [True, False])
+
+
+def test_a_path_of_one_configuration_is_certified_by_its_clearance(robots):
+    scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
+    assert not certify_path(robots["tiny"], scene, np.zeros((1, 3)))
+    assert certify_path(robots["tiny"], scene, np.array([[2.0, 0.0, 0.0]]))
