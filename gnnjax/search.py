@@ -191,6 +191,9 @@ def greedy_search(
 def _best_slot(roadmap, node, visited, tried, values):
     """The best slot that is still open, and whether there is any."""
     is_open = roadmap.neighbor_mask[node] & ~visited[roadmap.neighbors[node]] & ~tried
+    # An open slot wins over the others even if its value is minus infinity.
+    lowest = jnp.finfo(values.dtype).min
+    values = jnp.nan_to_num(values, nan=lowest, neginf=lowest)
     return jnp.argmax(jnp.where(is_open, values, -jnp.inf)), jnp.any(is_open)
 
 
@@ -206,7 +209,7 @@ def greedy_search_on_host(
     node, path, edge_checks, configuration_checks = START, [START], 0, 0
     carry = scorer.advance(scorer.init(), jnp.int32(START))
     while node != GOAL:
-        values = np.asarray(scorer.values(carry, jnp.int32(node)))
+        values = np.nan_to_num(scorer.values(carry, jnp.int32(node)), nan=-np.inf, neginf=-np.inf)
         candidates = [k for k in range(len(values)) if mask[node, k]]
         candidates = [k for k in candidates if neighbors[node, k] not in path]
         for slot in sorted(candidates, key=lambda k: -values[k]):

@@ -19,6 +19,7 @@ from gnnjax.search import (
     lazy_search,
     network_scorer,
     oracle_scorer,
+    static_scorer,
 )
 
 
@@ -119,7 +120,7 @@ def test_lazy_search_finds_the_shortest_path_or_that_there_is_none(seed):
 def test_the_oracle_walks_the_shortest_path_and_checks_only_its_edges(seed):
     roadmap = make_roadmap(jax.random.key(seed))
     labels = label(roadmap)
-    found = by_oracle(roadmap, jnp.where(jnp.isinf(labels.cost_to_go), 1e9, labels.cost_to_go))
+    found = by_oracle(roadmap, labels.cost_to_go)  # infinite where the goal cannot be reached
     assert bool(found.success) == bool(np.isfinite(labels.cost_to_go[0]))
     if not found.success:
         return
@@ -135,6 +136,16 @@ def test_known_edges_cost_nothing():
     again = lazy_search(roadmap, check_edge, first.edge_status)
     assert int(again.edge_checks) == int(again.configuration_checks) == 0
     np.testing.assert_array_equal(again.path, first.path)
+
+
+@pytest.mark.parametrize("value", [-np.inf, np.nan])
+def test_a_walk_ends_whatever_the_scorer_says(value):
+    roadmap = make_roadmap(jax.random.key(0))
+    scorer = static_scorer(lambda node: jnp.full(roadmap.neighbors.shape[1], value))
+    found = greedy_search(roadmap, scorer, check_edge)
+    walked = np.asarray(found.path)[np.asarray(found.path) >= 0]
+    assert len(set(walked.tolist())) == len(walked)
+    assert bool(found.success) == (walked[-1] == GOAL)
 
 
 def test_a_walk_without_neighbors_fails_without_checks():
