@@ -41,9 +41,11 @@ from gnnjax.search import (
     network_scorer,
     oracle_scorer,
 )
+from gnnjax.validity import edge_price
 from gnnjax.workspace import point_distances
 
-Method = Literal["gnn", "distance", "oracle", "prm", "lazysp"]
+Method = Literal["gnn", "gnn_lazy", "distance", "oracle", "prm", "lazysp"]
+NETWORK_METHODS = ("gnn", "gnn_lazy")
 
 DEFAULT_MAX_ROADMAPS = 8
 
@@ -89,7 +91,7 @@ def load_planner(
     """
     loaded = load_robot(robot)
     network = None
-    if method == "gnn":
+    if method in NETWORK_METHODS:
         network = load_network(shipped_weights() if weights is None else weights)
     return Planner(loaded, method, num_nodes, max_roadmaps, network=network, checker=checker)
 
@@ -115,7 +117,7 @@ class Planner:
             raise InputError(f"num_nodes is {num_nodes}; a roadmap needs at least start and goal")
         if max_roadmaps < 1:
             raise InputError(f"max_roadmaps is {max_roadmaps}; it must be at least 1")
-        if (method == "gnn") != (network is not None):
+        if (method in NETWORK_METHODS) != (network is not None):
             raise InputError(f"planner {method!r} with network {network}; only 'gnn' takes one")
         if network is not None and robot.num_dof > network.num_dof:
             raise InputError(
@@ -362,9 +364,10 @@ def search_roadmap(
     if network is not None:
         max_edges = edge_bucket(len(roadmap.nodes))
         encoding = network.encode(roadmap, scene, max_edges, point_distances)
-        return greedy_search(
-            roadmap, network_scorer(network, encoding, roadmap), check_edge, status
-        )
+        if method == "gnn_lazy":
+            return lazy_search(roadmap, check_edge, status, edge_price(encoding.validity))
+        scorer = network_scorer(network, encoding, roadmap)
+        return greedy_search(roadmap, scorer, check_edge, status)
     if method == "distance":
         return greedy_search(roadmap, distance_scorer(roadmap), check_edge, status)
     if method == "lazysp":

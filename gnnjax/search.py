@@ -259,47 +259,53 @@ def lazy_search(
     roadmap: Roadmap,
     check_edge: Callable[[jax.Array, jax.Array], EdgeChecks],
     status: Int8[Array, "N K"] | None = None,
+    price: Float[Array, "N K"] | None = None,
 ) -> SearchResult:
-    """LazySP: checks the first unknown edge of the shortest path that is not yet refuted.
+    """Checks one edge of the cheapest path at a time, until all of a path's edges are valid.
 
-    Finds the roadmap's shortest valid path. Dellin and Srinivasa (2016), "forward" selector.
+    Without a price this is LazySP with the "forward" selector (Dellin and Srinivasa, 2016): it
+    finds the roadmap's shortest valid path. With one, unlikely edges are avoided, and of a path the
+    least likely edge is checked first; the path then is the cheapest by length and price together,
+    where edges known to be valid cost their length alone.
+
+    Args:
+        roadmap: one roadmap.
+        check_edge: `(q_from [D], q_to [D]) -> EdgeChecks` of scalars.
+        status: what earlier searches found out; asking about a known edge costs nothing.
+        price: what an edge costs, beside its length, while it is unknown whether it is valid.
     """
     reverse = reverse_slots(roadmap)
     status = unknown_edges(roadmap) if status is None else status
+    price = jnp.zeros(roadmap.lengths.shape) if price is None else price
     zero = jnp.int32(0)
 
-    def shortest(status):
-        edge_cost = jnp.where(status == INVALID, jnp.inf, roadmap.lengths)
+    def cheapest(status):
+        edge_cost = roadmap.lengths + jnp.where(status == UNKNOWN, price, 0.0)
+        edge_cost = jnp.where(status == INVALID, jnp.inf, edge_cost)
         cost = cost_to_go(roadmap, edge_cost, GOAL)
-        return next_slots(roadmap, edge_cost, cost), cost
-
-    def first_unknown(slots, cost, status):
-        def known(node):
-            return (node != GOAL) & (status[node, slots[node]] != UNKNOWN)
-
-        return jax.lax.while_loop(
-            lambda node: known(node) & jnp.isfinite(cost[START]),
-            lambda node: roadmap.neighbors[node, slots[node]],
-            jnp.int32(START),
-        )
+        slots = next_slots(roadmap, edge_cost, cost)
+        return follow(roadmap, slots, cost), slots
 
     def searching(state):
         return ~state[0]
 
     def check_next(state):
         _, status, edge_checks, configuration_checks, _ = state
-        slots, cost = shortest(status)
-        node = first_unknown(slots, cost, status)
-        slot = slots[node]
-        done = (node == GOAL) | ~jnp.isfinite(cost[START])
-        checks = check_edge(roadmap.nodes[node], roadmap.nodes[roadmap.neighbors[node, slot]])
-        learned = learn_edge(status, reverse, node, slot, checks.valid)
+        path, slots = cheapest(status)
+        slot = slots[path]  # of the last nodes, -1: whatever it is, it does not count
+        on_path = (path >= 0) & (path != GOAL) & jnp.any(path == GOAL)
+        unknown = on_path & (status[path, slot] == UNKNOWN)
+        step = jnp.argmax(jnp.where(unknown, price[path, slot], -1.0))  # the first of the dearest
+        done = ~jnp.any(unknown)
+        node, chosen = path[step], slot[step]
+        checks = check_edge(roadmap.nodes[node], roadmap.nodes[roadmap.neighbors[node, chosen]])
+        learned = learn_edge(status, reverse, node, chosen, checks.valid)
         return (
             done,
             jnp.where(done, status, learned),
             edge_checks + ~done,
             configuration_checks + jnp.where(done, 0, checks.num_checks),
-            follow(roadmap, slots, cost),
+            path,
         )
 
     path = jnp.full(len(roadmap.nodes), -1, jnp.int32)

@@ -107,12 +107,17 @@ def edge_distances(
     return jnp.concatenate([*ordered, middle], axis=-1)
 
 
+def edge_price(logits: Float[Array, "N K"]) -> Float[Array, "N K"]:
+    """What edges cost beside their length for being unlikely to be free, rad."""
+    return RISK_WEIGHT * jax.nn.softplus(-logits)
+
+
 def cost_through(roadmap: Roadmap, logits: Float[Array, "N K"]) -> Float[Array, "N K"]:
     """What the way to the goal through each neighbor is likely to cost, rad.
 
     Lengths plus `RISK_WEIGHT` nats; finite everywhere. No gradient flows through it.
     """
     logits = jax.lax.stop_gradient(logits)
-    price = roadmap.lengths + RISK_WEIGHT * jax.nn.softplus(-logits)
+    price = roadmap.lengths + edge_price(logits)
     cost = jnp.minimum(cost_to_go(roadmap, price), _FARTHEST)
     return price + cost[roadmap.neighbors]
