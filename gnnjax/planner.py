@@ -80,9 +80,10 @@ def load_planner(
 
     Args:
         robot: name of a shipped robot, or path of an MJCF.
-        method: "gnn" (greedy by the network's guidance values), "distance" (greedy by the distance
-            to the goal), "lazysp" (lazy shortest path), "prm" (all edges checked) or "oracle"
-            (greedy by the exact cost-to-go: a bound, not a planner).
+        method: "gnn" (greedy by the network's guidance values), "gnn_lazy" (lazy search for the
+            path that is cheapest by length and the network's doubts), "distance" (greedy by the
+            distance to the goal), "lazysp" (lazy shortest path), "prm" (all edges checked) or
+            "oracle" (greedy by the exact cost-to-go: a bound, not a planner).
         num_nodes: nodes of a roadmap, start and goal included.
         max_roadmaps: on failure, sample a new roadmap up to this many times; 1 is the paper's way.
         weights: checkpoint folder of the network; by default the shipped weights, which were
@@ -118,7 +119,14 @@ class Planner:
         if max_roadmaps < 1:
             raise InputError(f"max_roadmaps is {max_roadmaps}; it must be at least 1")
         if (method in NETWORK_METHODS) != (network is not None):
-            raise InputError(f"planner {method!r} with network {network}; only 'gnn' takes one")
+            raise InputError(
+                f"planner {method!r} with network {network}; {list(NETWORK_METHODS)} take one, "
+                "and only they"
+            )
+        if method == "gnn_lazy" and network is not None and not network.validity_head:
+            raise InputError(
+                "planner 'gnn_lazy' needs a network that was trained with validity_weight > 0"
+            )
         if network is not None and robot.num_dof > network.num_dof:
             raise InputError(
                 f"the network is made for up to {network.num_dof} joints, {robot.name} has "
@@ -352,7 +360,7 @@ def search_roadmap(
         roadmap: one roadmap.
         scene: what the network sees of the obstacles.
         check_edges: `(starts [E D], ends [E D]) -> EdgeChecks [E]`.
-        network: for the method "gnn".
+        network: for the methods "gnn" and "gnn_lazy".
         point_distances: of the arm, if the network reads them.
         status: what is known of its edges.
     """

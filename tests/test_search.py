@@ -116,6 +116,33 @@ def test_lazy_search_finds_the_shortest_path_or_that_there_is_none(seed):
         assert int(found.edge_checks) <= int(roadmap.neighbor_mask.sum()) // 2
 
 
+lazily_priced = jax.jit(lambda roadmap, price: lazy_search(roadmap, check_edge, None, price))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_priced_search_fails_only_where_there_is_no_path(seed):
+    roadmap = make_roadmap(jax.random.key(seed))
+    labels = label(roadmap)
+    draws = np.random.default_rng(seed).exponential(size=(50, 50))
+    own, neighbors = np.arange(50)[:, None], np.asarray(roadmap.neighbors)
+    price = draws[np.minimum(own, neighbors), np.maximum(own, neighbors)].astype(np.float32)
+    found = lazily_priced(roadmap, jnp.asarray(price))
+    assert bool(found.success) == bool(np.isfinite(labels.cost_to_go[0]))
+    if found.success:
+        assert path_cost(roadmap, found.path) >= labels.cost_to_go[0] - 1e-5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_with_the_truth_for_a_price_no_check_is_wasted(seed):
+    roadmap = make_roadmap(jax.random.key(seed))
+    labels = label(roadmap)
+    found = lazily_priced(roadmap, jnp.where(labels.edge_valid, 0.0, 1e3))
+    if found.success:
+        np.testing.assert_allclose(path_cost(roadmap, found.path), labels.cost_to_go[0], rtol=1e-5)
+        steps = int((np.asarray(found.path) >= 0).sum()) - 1
+        assert int(found.edge_checks) == steps
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_the_oracle_walks_the_shortest_path_and_checks_only_its_edges(seed):
     roadmap = make_roadmap(jax.random.key(seed))

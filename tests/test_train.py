@@ -150,10 +150,11 @@ def test_a_run_logs_validates_and_leaves_weights_that_plan(tiny_path, smoke):
     assert second["loss"] != first["loss"]
     assert 0 <= second["validation_success"] <= 1
     assert list((smoke.out / "tensorboard").iterdir())
-    planner = load_planner(tiny_path, "gnn", num_nodes=30, weights=smoke.out / "weights")
     data = load_problems(smoke.data, load_robot(tiny_path)).problems
-    plans = planner.plan_batch(data)
-    assert sum(plan.success for plan in plans) >= 4
+    for method in ("gnn", "gnn_lazy"):
+        planner = load_planner(tiny_path, method, num_nodes=30, weights=smoke.out / "weights")
+        plans = planner.plan_batch(data)
+        assert sum(plan.success for plan in plans) >= 4
     meta = read_metadata(smoke.out / "weights")
     assert meta["training"]["epochs"] == 2
     assert meta["model"]["channels"] == 8
