@@ -114,8 +114,8 @@ def table(rows: list[dict[str, Any]], name: str) -> str:
             values = []
             for value in strata:
                 for key in keys:
-                    value = value[key]
-                values.append(f"{scale * value:{form}}")
+                    value = None if value is None else value[key]  # None: no such problem
+                values.append("–" if value is None else f"{scale * value:{form}}")
             return " / ".join(values)
 
         cells = [

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import orbax.checkpoint as ocp
+import tensorstore
 from flax import nnx
 
 from gnnjax.errors import InputError
@@ -173,6 +174,9 @@ class TrainingCheckpoints:
 
 def _restore(folder: Path, **items: Any) -> Any:
     try:
+        for name, item in items.items():
+            if isinstance(item, ocp.args.StandardRestore):
+                _read_through(folder / name)
         with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
             return checkpointer.restore(folder, args=ocp.args.Composite(**items))
     except Exception as error:  # a damaged folder raises nearly anything
@@ -181,3 +185,14 @@ def _restore(folder: Path, **items: Any) -> Any:
             f"checkpoint {str(folder)!r} is damaged or no checkpoint ({reason}); "
             "train again, or copy it anew"
         ) from None
+
+
+def _read_through(folder: Path) -> None:
+    """Raises where an array's bytes cannot be read.
+
+    Orbax reads all arrays at once; when one fails it leaves, and what the others then report
+    reaches nobody but the terminal.
+    """
+    store = tensorstore.KvStore.open({"driver": "ocdbt", "base": folder.as_uri()}).result()
+    for key in store.list().result():
+        store.read(key).result()

@@ -242,7 +242,7 @@ def train(config: TrainConfig) -> Path:
                 state, losses = step(state, batch, keys)
                 sums = jax.tree.map(jnp.add, sums, losses) if sums else losses
                 progress.update(bar, advance=1, description=f"epoch {epoch + 1}")
-            record: dict[str, float] = {"epoch": epoch + 1}
+            record: dict[str, Any] = {"epoch": epoch + 1}
             record |= {name: float(x) / steps_an_epoch for name, x in sums.items()}
             record["seconds"] = time.perf_counter() - begin
             last = epoch + 1 == config.epochs
@@ -272,12 +272,12 @@ def _settings(config: TrainConfig) -> dict[str, Any]:
     return settings
 
 
-def _write_log(path: Path, records: list[dict[str, float]]) -> None:
+def _write_log(path: Path, records: list[dict[str, Any]]) -> None:
     text = "".join(json.dumps(record) + "\n" for record in records)
     atomic_write(path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
-def _read_log(path: Path, epochs: int) -> list[dict[str, float]]:
+def _read_log(path: Path, epochs: int) -> list[dict[str, Any]]:
     """The records up to the checkpoint that a run goes on from."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     return [json.loads(line) for line in lines[:epochs]]

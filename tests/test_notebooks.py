@@ -30,6 +30,7 @@ def test_a_notebook_runs_from_top_to_bottom(path, tmp_path):
     executed = nbformat.reads(done.stdout, as_version=4)
     code = [cell for cell in executed.cells if cell.cell_type == "code"]
     assert all(cell.execution_count for cell in code)
-    printed = "".join(output.get("text", "") for cell in code for output in cell.outputs)
-    assert "certified: True" in printed
-    assert "lazysp, 200 nodes" in printed
+    outputs = [output for cell in code for output in cell.outputs]
+    shown = "".join(o.get("text", "") + o.get("data", {}).get("text/plain", "") for o in outputs)
+    assert "certified: True" in shown
+    assert "lazysp, 200 nodes" in shown
