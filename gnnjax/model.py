@@ -99,13 +99,8 @@ class GuidanceNetwork(nnx.Module):
         self.gcn_weight = linear(c, bias=True)
 
         # Obstacles: m^3 occupancy to C.
-        self.convs = nnx.List(
-            [
-                HalvingConv(1, c // 4, rngs=rngs),
-                HalvingConv(c // 4, c // 2, rngs=rngs),
-                HalvingConv(c // 2, c, rngs=rngs),
-            ]
-        )
+        sizes = (1, c // 4), (c // 4, c // 2), (c // 2, c)
+        self.convs = nnx.List([HalvingConv(i, o, rngs=rngs) for i, o in sizes])
         self.grid_linear = linear(c * (-(-grid_size // 8)) ** 3, bias=True)
 
         # Pair MLPs. The first layer of an MLP on [a, b, c] is a sum of three linear maps, which
