@@ -115,7 +115,7 @@ def table(rows: list[dict[str, Any]], name: str) -> str:
             for value in strata:
                 for key in keys:
                     value = None if value is None else value[key]  # None: no such problem
-                values.append("–" if value is None else f"{scale * value:{form}}")
+                values.append("-" if value is None else f"{scale * value:{form}}")
             return " / ".join(values)
 
         cells = [
