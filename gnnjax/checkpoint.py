@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import orbax.checkpoint as ocp
 import tensorstore
 from flax import nnx
@@ -134,7 +135,7 @@ class TrainingCheckpoints:
         """Writes `state` (weights, optimizer) after an epoch."""
         items = ocp.args.Composite(
             weights=ocp.args.StandardSave(nnx.to_pure_dict(state.weights)),
-            optimizer=ocp.args.StandardSave(jax.tree.leaves(state.optimizer)),
+            optimizer=ocp.args.StandardSave(_by_number(state.optimizer)),
             meta=ocp.args.JsonSave(self._meta),
         )
         self._manager.save(epoch, args=items, force=True)
@@ -157,19 +158,25 @@ class TrainingCheckpoints:
                     f"the run in {str(self.folder)!r} has {name} {theirs.get(name)!r}, not "
                     f"{ours.get(name)!r}; go on with the same settings"
                 )
-        weights, optimizer = nnx.to_pure_dict(state.weights), jax.tree.leaves(state.optimizer)
-        shapes = _on_this_device((weights, optimizer))
+        shapes = _on_this_device((nnx.to_pure_dict(state.weights), _by_number(state.optimizer)))
         items = _restore(
             folder,
             weights=ocp.args.StandardRestore(shapes[0]),
             optimizer=ocp.args.StandardRestore(shapes[1]),
         )
         structure = jax.tree.structure(state.optimizer)
+        leaves = [items["optimizer"][str(i)] for i in range(structure.num_leaves)]
         restored = jax.tree.map(lambda x: x, state.weights)
         nnx.replace_by_pure_dict(restored, items["weights"])
-        return epoch, state._replace(
-            weights=restored, optimizer=jax.tree.unflatten(structure, items["optimizer"])
-        )
+        optimizer = jax.tree.unflatten(structure, leaves)
+        return epoch, state._replace(weights=restored, optimizer=optimizer)
+
+
+def _by_number(state: Any) -> dict[str, jax.Array]:
+    """The arrays of an optimizer's state, and how many they are: plain SGD has none, and Orbax
+    refuses to write nothing."""
+    leaves = jax.tree.leaves(state)
+    return {"num_leaves": jnp.int32(len(leaves))} | {str(i): x for i, x in enumerate(leaves)}
 
 
 def _restore(folder: Path, **items: Any) -> Any:

@@ -11,7 +11,7 @@ import pytest
 from flax import nnx
 
 import gnnjax.train
-from gnnjax.checkpoint import load_network, read_metadata, save_network
+from gnnjax.checkpoint import TrainingCheckpoints, load_network, read_metadata, save_network
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, from_problem_set, generate
 from gnnjax.losses import graph_losses, step_targets, walk_losses
@@ -21,7 +21,7 @@ from gnnjax.problem import load_problems
 from gnnjax.roadmap import edge_bucket
 from gnnjax.robot import load_robot
 from gnnjax.search import GOAL
-from gnnjax.train import LOSS_OPTIONS, PRESETS, train
+from gnnjax.train import LOSS_OPTIONS, PRESETS, TrainState, make_optimizer, train
 
 
 @pytest.fixture(scope="module")
@@ -186,6 +186,20 @@ def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
         for c in (config, smoke)
     ]
     for ours, theirs in zip(*weights, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("name", ["adamw", "sgd"])
+def test_the_state_of_every_optimizer_is_kept(network, tmp_path, name):
+    weights = nnx.state(network, nnx.Param)
+    optimizer = make_optimizer(dataclasses.replace(PRESETS["smoke"], optimizer=name), 10)
+    state = TrainState(weights, jax.tree.map(lambda x: x + 1, optimizer.init(weights)))
+    with TrainingCheckpoints(tmp_path, network, {}) as checkpoints:
+        checkpoints.save(3, state)
+        epoch, restored = checkpoints.restore(TrainState(weights, optimizer.init(weights)))
+    assert epoch == 3
+    assert jax.tree.structure(restored) == jax.tree.structure(state)
+    for ours, theirs in zip(*map(jax.tree.leaves, (restored, state)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
