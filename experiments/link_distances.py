@@ -50,6 +50,8 @@ def hull_model(robot: Path, hulls: dict[str, np.ndarray]) -> mujoco.MjModel:
     """The MJCF with one more geom for each link, named hull/LINK, that collides with nothing."""
     spec = mujoco.MjSpec.from_file(str(robot))
     for name, vertices in hulls.items():
+        if spec.body(name) is None:
+            raise InputError(f"{robot} has no body {name!r}, of which there are hull vertices")
         spec.add_mesh(name=f"hull/{name}", uservert=vertices.astype(np.float64).ravel())
         spec.body(name).add_geom(
             name=f"hull/{name}",
