@@ -84,13 +84,22 @@ def distances(q):
 def test_edge_distances_do_not_depend_on_the_direction():
     nodes = make_roadmap().nodes
     near, far = jnp.arange(10), jnp.arange(10, 20)
-    there, back = (edge_distances(nodes, *e, distances) for e in ((near, far), (far, near)))
+    there, back = (edge_distances(nodes, *e, 10, distances) for e in ((near, far), (far, near)))
     np.testing.assert_allclose(there, back, atol=1e-5)
     middle = (nodes[near] + nodes[far]) / 2
     np.testing.assert_allclose(there[:, -2:], distances(middle), atol=1e-5)
     ends = np.stack([distances(nodes[near]), distances(nodes[far])])
     np.testing.assert_allclose(there[:, :2], ends.min(axis=0), atol=1e-6)
     np.testing.assert_allclose(there[:, 2:4], ends.max(axis=0), atol=1e-6)
+
+
+def test_edge_distances_are_the_same_in_blocks(monkeypatch):
+    nodes = make_roadmap().nodes
+    near, far = jnp.arange(10), jnp.arange(10, 20)
+    whole = edge_distances(nodes, near, far, 10, distances)
+    monkeypatch.setattr("gnnjax.validity._EDGES_A_BLOCK", 4)
+    np.testing.assert_allclose(edge_distances(nodes, near, far, 10, distances), whole, atol=1e-6)
+    assert (np.asarray(edge_distances(nodes, near, far, 3, distances))[4:] == 0).all()
 
 
 def test_logits_are_symmetric_and_zero_on_padding():
