@@ -7,8 +7,9 @@ from gnnjax.errors import InputError
 from gnnjax.kinematics import forward_kinematics
 from gnnjax.labels import Labels, cost_to_go, edge_validity, label_roadmap
 from gnnjax.model import GuidanceNetwork
-from gnnjax.planner import Plan, Planner, load_planner
+from gnnjax.planner import Planner, load_planner
 from gnnjax.problem import Problem, ProblemSet, load_problems, sample_problem, save_problems
+from gnnjax.query import Plan
 from gnnjax.roadmap import Roadmap, connect, default_radius, graphs_tuple, sample_roadmap
 from gnnjax.robot import Robot, load_robot
 from gnnjax.sampling import Samples, sample_free

@@ -2,6 +2,8 @@
 
     python -m gnnjax.evaluate --problems data/kuka_iiwa14_test.npz --planner gnn --json gnn.json
 
+A path that comes after the time limit is a failure, whatever the planner.
+
 Results are written as they come; the same command goes on where it was cut off.
 """
 
@@ -13,7 +15,7 @@ import os
 import platform
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -23,14 +25,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gnnjax.collision import Backend, make_checker
+from gnnjax.classical import ClassicalMethod, ClassicalPlanner, ompl_version
+from gnnjax.collision import EDGE_RESOLUTION, Backend, make_checker
 from gnnjax.errors import InputError, atomic_write, run_command
-from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Method, Plan, Planner, load_planner
+from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Method, Planner, load_planner
 from gnnjax.problem import Problem, ProblemSet, load_problems
+from gnnjax.query import Plan
 from gnnjax.scene import is_axis_aligned
 
 # Of the result files; raised when what they hold changes its meaning.
-FORMAT = 1
+FORMAT = 2
 
 _WRITE_EVERY_S = 1.0
 
@@ -56,8 +60,8 @@ class EvaluateConfig:
     """Where results go; goes on with what is there if it has the same settings."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
-    planner: Method = "gnn"
-    """How roadmaps are searched."""
+    planner: Method | ClassicalMethod = "gnn"
+    """How roadmaps are searched, or a planner of OMPL (needs the experiments extra)."""
     num_nodes: int = 200
     """Nodes of a roadmap."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
@@ -69,10 +73,14 @@ class EvaluateConfig:
     each problem in its batch."""
     weights: Path | None = None
     """Checkpoint of the network; by default the shipped one."""
-    checker: Backend = "fused"
-    """Collision backend."""
+    checker: Backend | Literal["mujoco"] = "fused"
+    """Collision backend; mujoco, MuJoCo's C engine, is for the planners of OMPL."""
+    resolution: float = EDGE_RESOLUTION
+    """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
+    time_limit: float = 5.0
+    """Seconds a problem may take; a path that comes later is a failure."""
     seed: int = 0
-    """Of the roadmaps."""
+    """Of the roadmaps, or of OMPL's random numbers."""
 
 
 def evaluate(config: EvaluateConfig) -> dict[str, Any]:
@@ -82,14 +90,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
             f"batch_size is {config.batch_size}, num_problems {config.num_problems}; "
             "both must be at least 1"
         )
-    planner = load_planner(
-        config.robot,
-        config.planner,
-        num_nodes=config.num_nodes,
-        max_roadmaps=config.max_roadmaps,
-        weights=config.weights,
-        checker=config.checker,
-    )
+    planner = _load(config)
     problems = load_problems(config.problems, planner.robot).take(slice(config.num_problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     del settings["json"]
@@ -98,7 +99,7 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
         "format": FORMAT,
         "complete": False,
         "settings": settings,
-        "machine": describe_machine(),
+        "machine": describe_machine() | ({"ompl": ompl_version()} if _is_classical(config) else {}),
         "summary": {},
         "problems": _earlier_results(config.json, settings),
     }
@@ -111,8 +112,35 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
     return results
 
 
+def _is_classical(config: EvaluateConfig) -> bool:
+    return config.planner in get_args(ClassicalMethod)
+
+
+def _load(config: EvaluateConfig) -> Planner | ClassicalPlanner:
+    limits = {"resolution": config.resolution, "time_limit": config.time_limit}
+    if _is_classical(config):
+        return ClassicalPlanner(config.robot, config.planner, checker=config.checker, **limits)
+    if config.checker == "mujoco":
+        raise InputError(
+            f"checker 'mujoco' with planner {config.planner!r}; it is for OMPL's planners, choose "
+            f"one of {list(get_args(Backend))}"
+        )
+    return load_planner(
+        config.robot,
+        config.planner,
+        num_nodes=config.num_nodes,
+        max_roadmaps=config.max_roadmaps,
+        weights=config.weights,
+        checker=config.checker,
+        **limits,
+    )
+
+
 def _plan_missing(
-    planner: Planner, problems: ProblemSet, results: dict[str, Any], config: EvaluateConfig
+    planner: Planner | ClassicalPlanner,
+    problems: ProblemSet,
+    results: dict[str, Any],
+    config: EvaluateConfig,
 ) -> None:
     rows = results["problems"]
     blocked = straight_line_blocked(planner, problems.problems)
@@ -145,8 +173,8 @@ def _plan_missing(
                 made = planner.plan_batch(queries, seed=config.seed)
                 plans = dict(zip(valid, made, strict=False))
             for i in batch:
-                hard = bool(blocked[i])
-                rows.append(_row(i, plans.get(i), reasons.get(i, ""), hard, checking[i]))
+                row = _row(i, plans.get(i), reasons.get(i, ""), bool(blocked[i]), checking[i])
+                rows.append(_within(row, config.time_limit))
             progress.update(task, completed=len(rows), description=config.planner)
             if time.monotonic() - written > _WRITE_EVERY_S:
                 _write(config.json, results)
@@ -176,12 +204,21 @@ def _row(index: int, plan: Plan | None, invalid: str, hard: bool, checking: floa
     return row
 
 
-def straight_line_blocked(planner: Planner, problems: Problem) -> np.ndarray:
+def _within(row: dict, time_limit: float) -> dict:
+    """The row as it is, or as a failure where the path came too late."""
+    if not row["success"] or row["total_time_s"] <= time_limit:
+        return row
+    reason = f"a path after {row['total_time_s']:.2f} s, and the limit is {time_limit} s"
+    late = {"success": False, "reason": reason, "path": [], "cost": None, "certified": False}
+    return row | late
+
+
+def straight_line_blocked(planner: Planner | ClassicalPlanner, problems: Problem) -> np.ndarray:
     """Tells for each problem whether the straight line from start to goal is blocked: the hard
-    ones."""
+    ones. That does not depend on the resolution a planner is asked for."""
     checker = make_checker(
         planner.robot,
-        planner.checker,
+        "mjx" if planner.checker == "mjx" else "fused",
         axis_aligned=is_axis_aligned(problems.scene),
         max_boxes=problems.scene.mask.shape[-1],
     )
@@ -200,7 +237,8 @@ def straight_line_blocked(planner: Planner, problems: Problem) -> np.ndarray:
 def summarize(rows: list[dict]) -> dict[str, Any]:
     """Mean, spread and median of each quantity, over all valid problems and over the hard ones.
 
-    The cost is over solved problems; everything else over all.
+    The cost is over solved problems; everything else over all. `certified` is the share with a path
+    that is proven free, which some planners find out only afterwards.
     """
     valid = [row for row in rows if row["valid"]]
     strata = {"all": valid, "hard": [row for row in valid if row["hard"]]}
@@ -216,10 +254,12 @@ def summarize(rows: list[dict]) -> dict[str, Any]:
         part: dict[str, Any] = {
             "num_problems": num,
             "success": len(solved) / num if num else None,
+            "certified": sum(row["certified"] for row in chosen) / num if num else None,
             "success_first_roadmap": len(first) / num if num else None,
         }
         for name, failures_count in _QUANTITIES.items():
-            values = [row[name] for row in (chosen if failures_count else solved)]
+            rows_counted = chosen if failures_count else solved
+            values = [row[name] for row in rows_counted if row[name] is not None]
             part[name] = (
                 {
                     "mean": float(np.mean(values)),
@@ -287,8 +327,12 @@ def _write(path: Path, results: dict[str, Any]) -> None:
 def print_summary(results: dict[str, Any]) -> None:
     """Prints a summary as a table."""
     settings, summary = results["settings"], results["summary"]
-    title = f"{settings['planner']}, {settings['num_nodes']} nodes"
-    table = Table("stratum", "solved", "edge checks", "configuration checks", "cost", title=title)
+    title = settings["planner"]
+    if title not in get_args(ClassicalMethod):
+        title += f", {settings['num_nodes']} nodes"
+    table = Table(
+        "stratum", "solved", "certified", "edge checks", "configuration checks", "cost", title=title
+    )
     table.add_column("planning [ms]")
     table.add_column("total [ms]")
     for stratum in ("all", "hard"):
@@ -305,6 +349,7 @@ def print_summary(results: dict[str, Any]) -> None:
         table.add_row(
             f"{stratum} ({part['num_problems']})",
             f"{100 * part['success']:.1f} %",
+            f"{100 * part['certified']:.1f} %",
             text("edge_checks", ".1f"),
             text("configuration_checks", ".0f"),
             text("cost", ".2f"),

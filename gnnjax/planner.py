@@ -4,7 +4,7 @@ import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -13,14 +13,15 @@ from flax import nnx
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from gnnjax.certify import certify_edges, configuration_clearance
+from gnnjax.certify import certify_edges
 from gnnjax.checkpoint import load_network, shipped_weights
-from gnnjax.collision import Backend, EdgeChecks, boxes_clear, make_checker
+from gnnjax.collision import EDGE_RESOLUTION, Backend, EdgeChecks, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
 from gnnjax.errors import InputError
 from gnnjax.labels import cost_to_go, edge_validity, next_slots
 from gnnjax.model import GuidanceNetwork
 from gnnjax.problem import Problem
+from gnnjax.query import Plan, check_limits, check_query
 from gnnjax.roadmap import (
     Roadmap,
     SampledRoadmap,
@@ -50,23 +51,6 @@ NETWORK_METHODS = ("gnn", "gnn_lazy")
 DEFAULT_MAX_ROADMAPS = 8
 
 
-class Plan(NamedTuple):
-    """The answer to a query."""
-
-    success: bool
-    reason: str  # why there is no path; empty on success
-    path: np.ndarray  # [L D] configurations from start to goal; [0 D] without success
-    cost: float  # length of the path, configuration units; inf without success
-    certified: bool  # the path is proven free of collisions all along
-    edge_checks: int
-    configuration_checks: int  # all of them: sampling and search
-    sampling_checks: int  # start, goal and the draws for nodes
-    search_checks: int  # along edges
-    planning_time_s: float  # from the roadmap to the path
-    total_time_s: float  # from the query to the path
-    roadmaps: int  # roadmaps sampled
-
-
 def load_planner(
     robot: str | Path,
     method: str = "gnn",
@@ -75,6 +59,8 @@ def load_planner(
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS,
     weights: str | Path | None = None,
     checker: str = "fused",
+    resolution: float = EDGE_RESOLUTION,
+    time_limit: float = np.inf,
 ) -> "Planner":
     """Loads a robot, and weights where they are needed, and makes a planner.
 
@@ -89,12 +75,23 @@ def load_planner(
         weights: checkpoint folder of the network; by default the shipped weights, which were
             trained on the Kuka and serve any arm of up to seven joints, as in the paper.
         checker: collision backend, "fused" or "mjx".
+        resolution: largest distance of neighbouring configurations tested along an edge, rad or m.
+        time_limit: after this many seconds no further roadmap is begun.
     """
     loaded = load_robot(robot)
     network = None
     if method in NETWORK_METHODS:
         network = load_network(shipped_weights() if weights is None else weights)
-    return Planner(loaded, method, num_nodes, max_roadmaps, network=network, checker=checker)
+    return Planner(
+        loaded,
+        method,
+        num_nodes,
+        max_roadmaps,
+        network=network,
+        checker=checker,
+        resolution=resolution,
+        time_limit=time_limit,
+    )
 
 
 class Planner:
@@ -109,6 +106,8 @@ class Planner:
         *,
         network: GuidanceNetwork | None = None,
         checker: str = "fused",
+        resolution: float = EDGE_RESOLUTION,
+        time_limit: float = np.inf,
     ):
         if method not in get_args(Method):
             raise InputError(f"no planner {method!r}; there are {list(get_args(Method))}")
@@ -118,6 +117,7 @@ class Planner:
             raise InputError(f"num_nodes is {num_nodes}; a roadmap needs at least start and goal")
         if max_roadmaps < 1:
             raise InputError(f"max_roadmaps is {max_roadmaps}; it must be at least 1")
+        check_limits(resolution, time_limit)
         if (method in NETWORK_METHODS) != (network is not None):
             raise InputError(
                 f"planner {method!r} with network {network}; {list(NETWORK_METHODS)} take one, "
@@ -135,6 +135,7 @@ class Planner:
         cache_compilations()
         self.robot, self.method, self.checker = robot, method, checker
         self.num_nodes, self.max_roadmaps = num_nodes, max_roadmaps
+        self.resolution, self.time_limit = resolution, time_limit
         self.radius = default_radius(robot, num_nodes)
         # Apart, so that weights are arguments of the compiled functions and not constants in them.
         self.network = network
@@ -167,7 +168,7 @@ class Planner:
             seed: of the roadmaps; the same for each problem.
         """
         num = len(problems.start)
-        build, search_weighted, _ = self._functions(
+        build, search_weighted = self._functions(
             is_axis_aligned(problems.scene), problems.scene.mask.shape[-1]
         )
         paths: list[np.ndarray | None] = [None] * num
@@ -193,6 +194,7 @@ class Planner:
             for i, walk in walks.items():
                 paths[i] = walk
                 active[i] = False
+            active &= total_time <= self.time_limit
             if not active.any():
                 break
         plans = []
@@ -225,44 +227,8 @@ class Planner:
     def check_query(
         self, scene: Scene, start: ArrayLike, goal: ArrayLike
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Returns start and goal as arrays, or says what is wrong with the query.
-
-        Raises:
-            InputError: start or goal is no valid configuration, or a box stands in the base.
-        """
-        robot = self.robot
-        base_clear = self._functions(is_axis_aligned(scene), scene.mask.shape[-1])[2]
-        clear = np.asarray(base_clear(scene))
-        if not clear.all():
-            raise InputError(
-                f"box {int(np.argmin(clear))} of the scene touches the base of {robot.name}; "
-                "move it away"
-            )
-        ends = []
-        for name, q in (("start", start), ("goal", goal)):
-            try:
-                q = np.asarray(q, dtype=np.float32)
-            except (TypeError, ValueError):
-                raise InputError(f"{name} {q!r} is not a list of numbers") from None
-            if q.shape != (robot.num_dof,):
-                raise InputError(
-                    f"{name} has shape {q.shape}; {robot.name} needs {robot.num_dof} joint values"
-                )
-            bad = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))
-            if bad.any():
-                joint = int(bad.argmax())
-                raise InputError(
-                    f"{name} has {q[joint]:.4g} for joint {joint + 1}; it must lie between "
-                    f"{robot.joint_lower[joint]:.4g} and {robot.joint_upper[joint]:.4g}"
-                )
-            clearance = configuration_clearance(robot, scene, q)
-            if clearance <= 0:
-                raise InputError(
-                    f"{name} {np.round(q, 4).tolist()} is in collision "
-                    f"({-1e3 * clearance:.1f} mm deep); choose a free configuration"
-                )
-            ends.append(q)
-        return ends[0], ends[1]
+        """Returns start and goal as arrays, or says what is wrong with the query."""
+        return check_query(self.robot, scene, start, goal)
 
     def _search_certified(
         self, search: Callable, roadmaps: Roadmap, scenes: Scene, active: np.ndarray
@@ -303,9 +269,13 @@ class Planner:
 
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
     def _functions(self, axis_aligned: bool, max_boxes: int):
-        """The jitted halves of a query, and the test of the base, for one padding of the scene."""
+        """The jitted halves of a query, for one padding of the scene."""
         checker = make_checker(
-            self.robot, self.checker, axis_aligned=axis_aligned, max_boxes=max_boxes
+            self.robot,
+            self.checker,
+            axis_aligned=axis_aligned,
+            max_boxes=max_boxes,
+            resolution=self.resolution,
         )
 
         points = 0 if self.network is None else self.network.workspace_points
@@ -338,10 +308,7 @@ class Planner:
             one = functools.partial(search_one, weights)
             return over_problems(one, active, roadmaps, scenes, status)
 
-        base_clear = functools.partial(
-            boxes_clear, self.robot, q=jnp.asarray(self.robot.home), base_only=True
-        )
-        return build, search, jax.jit(base_clear)
+        return build, search
 
 
 def search_roadmap(

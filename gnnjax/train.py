@@ -176,7 +176,7 @@ def validate(planner: Planner, problems: Problem) -> dict[str, float]:
     plans = planner.plan_batch(problems)
     return {
         "success": float(np.mean([plan.success for plan in plans])),
-        "edge_checks": float(np.mean([plan.edge_checks for plan in plans])),
+        "edge_checks": float(np.mean([plan.edge_checks or 0 for plan in plans])),
         "cost": float(np.mean([plan.cost for plan in plans if plan.success] or [np.nan])),
     }
 

@@ -124,7 +124,7 @@ def test_a_batch_finds_what_single_queries_find(tiny_path, problems, results, tm
     [
         ("{", "holds no results; remove it"),
         ('{"format": 0, "settings": {}, "problems": []}', "results of format 0"),
-        ('{"format": 1, "settings": {"planner": "prm"}, "problems": []}', "results with"),
+        ('{"format": 2, "settings": {"planner": "prm"}, "problems": []}', "results with"),
     ],
 )
 def test_a_file_with_something_else_is_kept(tiny_path, problems, tmp_path, text, message):
