@@ -22,9 +22,9 @@ from gnnjax.model import GuidanceNetwork
 FORMAT = 1
 
 
-def shipped_weights() -> Path:
+def shipped_weights(name: str = "kuka_iiwa14") -> Path:
     """The folder of the weights that come with the package."""
-    return Path(__file__).parent / "weights" / "kuka_iiwa14"
+    return Path(__file__).parent / "weights" / name
 
 
 def metadata(network: GuidanceNetwork, training: dict[str, Any]) -> dict[str, Any]:

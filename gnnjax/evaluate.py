@@ -83,14 +83,21 @@ class EvaluateConfig:
     """Of the roadmaps, or of OMPL's random numbers."""
 
 
-def evaluate(config: EvaluateConfig) -> dict[str, Any]:
-    """Plans what is missing of a set's results, and returns them all as they are in the file."""
+def evaluate(
+    config: EvaluateConfig, planner: Planner | ClassicalPlanner | None = None
+) -> dict[str, Any]:
+    """Plans what is missing of a set's results, and returns them all as they are in the file.
+
+    Args:
+        config: what to plan, and how.
+        planner: from `make_planner`, for callers that evaluate several sets or seeds with one.
+    """
     if config.batch_size < 1 or (config.num_problems is not None and config.num_problems < 1):
         raise InputError(
             f"batch_size is {config.batch_size}, num_problems {config.num_problems}; "
             "both must be at least 1"
         )
-    planner = _load(config)
+    planner = planner or make_planner(config)
     problems = load_problems(config.problems, planner.robot).take(slice(config.num_problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     del settings["json"]
@@ -116,7 +123,8 @@ def _is_classical(config: EvaluateConfig) -> bool:
     return config.planner in get_args(ClassicalMethod)
 
 
-def _load(config: EvaluateConfig) -> Planner | ClassicalPlanner:
+def make_planner(config: EvaluateConfig) -> Planner | ClassicalPlanner:
+    """The planner that a configuration names."""
     limits = {"resolution": config.resolution, "time_limit": config.time_limit}
     if _is_classical(config):
         return ClassicalPlanner(config.robot, config.planner, checker=config.checker, **limits)
