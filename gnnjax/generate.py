@@ -2,13 +2,15 @@
 
 python -m gnnjax.generate --split train   # the paper's 3,000 problems, roadmaps and labels
 python -m gnnjax.generate --split test    # the paper's 300 test problems
+python -m gnnjax.generate --split test --family shelf   # harder ones
 """
 
 import dataclasses
 import functools
 import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -16,9 +18,11 @@ import numpy as np
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gnnjax.collision import Backend, boxes_clear, make_checker
+from gnnjax.collision import Backend, Checker, boxes_clear, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
 from gnnjax.errors import InputError, run_command
+from gnnjax.families import FAMILIES, FamilyName
+from gnnjax.family_problem import sample_family_problem
 from gnnjax.labels import Labels, edge_validity, label_roadmap
 from gnnjax.problem import (
     MANIFEST,
@@ -35,6 +39,7 @@ from gnnjax.robot import Robot, load_robot
 from gnnjax.scene import BOX_BUCKETS
 
 Split = Literal["train", "validation", "test"]
+Family: TypeAlias = Literal["paper"] | FamilyName
 
 # Sizes of the paper's sets, and what keeps the sets of one seed apart.
 _SPLITS = {"train": (0, 3000), "validation": (1, 100), "test": (2, 300)}
@@ -42,10 +47,13 @@ _SPLITS = {"train": (0, 3000), "validation": (1, 100), "test": (2, 300)}
 
 @dataclasses.dataclass(frozen=True)
 class GenerateConfig:
-    """Draw problems of the paper's distribution; for training also their roadmaps and labels."""
+    """Draw problems of the paper's distribution or of a harder family; for training also their
+    roadmaps and labels."""
 
     split: Split = "train"
     """Which set; their problems never coincide."""
+    family: Family = "paper"
+    """Kind of scenes: the paper's boxes, or structures that leave little room."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
     num_problems: int | None = None
@@ -55,7 +63,8 @@ class GenerateConfig:
     seed: int = 0
     """Of the whole set."""
     out: Path | None = None
-    """A folder of shards, or a file ending in .npz. By default data/ROBOT_SPLIT (test: .npz)."""
+    """A folder of shards, or a file ending in .npz. By default data/ROBOT_SPLIT (test: .npz),
+    for families other than the paper's data/ROBOT_FAMILY_SPLIT."""
     shard_size: int = 100
     """Problems that are drawn, labelled and written at once."""
     checker: Backend = "fused"
@@ -71,16 +80,15 @@ class LabelledRoadmap(NamedTuple):
 
 
 def generate_labelled(
-    robot: Robot, num_nodes: int, checker: Backend = "fused"
-) -> "jax.stages.Wrapped":
-    """Makes the jitted function `keys [P] -> LabelledRoadmap [P]`, or `Problem [P]` for 0 nodes."""
-    check = make_checker(robot, checker, axis_aligned=True, max_boxes=BOX_BUCKETS[0])
-    # Every arm's q = 0 stands upright in the paper; the scene leaves it clear.
-    zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
+    robot: Robot, num_nodes: int, checker: Backend = "fused", family: Family = "paper"
+) -> Callable[[jax.Array], Problem | LabelledRoadmap]:
+    """Makes the compiled function `keys [P] -> LabelledRoadmap [P]`, or `Problem [P]` for 0 nodes.
 
-    def draw(key: jax.Array) -> Problem:
-        clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
-        return sample_problem(key, robot, check.check_configurations, clear)
+    The function raises `InputError` where the family does not fit the arm.
+    """
+    if family not in ("paper", *FAMILIES):
+        raise InputError(f"no family {family!r}; there are {['paper', *FAMILIES]}")
+    draw, check = _problem_sampler(robot, checker, family)
 
     def label(key: jax.Array, problem: Problem) -> LabelledRoadmap:
         sampled = sample_roadmap(
@@ -96,21 +104,62 @@ def generate_labelled(
         valid = edge_validity(sampled.roadmap, edges).edge_valid
         return LabelledRoadmap(problem, sampled.roadmap, label_roadmap(sampled.roadmap, valid))
 
-    def one(key: jax.Array) -> Problem | LabelledRoadmap:
+    def one(key: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:
         problem_key, roadmap_key = jax.random.split(key)
-        problem = draw(problem_key)
-        return label(roadmap_key, problem) if num_nodes else problem
+        problem, found = draw(problem_key)
+        return label(roadmap_key, problem) if num_nodes else problem, found
 
     @jax.jit
-    def generate(keys: jax.Array) -> Problem | LabelledRoadmap:
+    def compiled(keys: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:
         return over_problems(one, jnp.ones(len(keys), bool), keys)
+
+    def generate(keys: jax.Array) -> Problem | LabelledRoadmap:
+        drawn, found = compiled(keys)
+        if not np.all(found):
+            raise InputError(
+                f"no start and goal for {int((~np.asarray(found)).sum())} of {len(keys)} problems "
+                f"of the family {family!r} with {robot.name}; choose another family for this arm"
+            )
+        return drawn
 
     return generate
 
 
-def problem_keys(seed: int, split: Split, first: int, num: int) -> jax.Array:
+def _problem_sampler(
+    robot: Robot, checker: Backend, family: Family
+) -> tuple[Callable[[jax.Array], tuple[Problem, jax.Array]], Checker]:
+    """`key -> (problem, whether one was found)`, and the checker for the family's scenes."""
+    zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
+    clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
+    if family == "paper":
+        check = make_checker(robot, checker, axis_aligned=True, max_boxes=BOX_BUCKETS[0])
+
+        def draw_paper(key: jax.Array) -> tuple[Problem, jax.Array]:
+            # Every arm's q = 0 stands upright in the paper; the scene leaves it clear.
+            problem = sample_problem(key, robot, check.check_configurations, clear)
+            return problem, jnp.ones((), bool)
+
+        return draw_paper, check
+
+    drawn = jax.eval_shape(FAMILIES[family], jax.random.key(0))
+    check = make_checker(robot, checker, max_boxes=drawn.scene.mask.shape[0])
+    base_clear = functools.partial(clear, base_only=True)
+
+    def draw(key: jax.Array) -> tuple[Problem, jax.Array]:
+        sampled = sample_family_problem(key, family, robot, check.check_configurations, base_clear)
+        return sampled.problem, sampled.found
+
+    return draw, check
+
+
+def problem_keys(
+    seed: int, split: Split, first: int, num: int, family: Family = "paper"
+) -> jax.Array:
     """The keys of problems `first` to `first + num` of a split; the size of the set is no part."""
     key = jax.random.fold_in(jax.random.key(seed), _SPLITS[split][0])
+    if family != "paper":
+        # Numbers beyond those of the paper's problems, whose keys are folded in at this place.
+        key = jax.random.fold_in(key, 2**31 + list(FAMILIES).index(family))
     return jax.vmap(functools.partial(jax.random.fold_in, key))(np.arange(first, first + num))
 
 
@@ -171,9 +220,9 @@ def generate(config: GenerateConfig) -> Path:
         )
     if not 0 <= nodes <= 32767 or nodes in (1, 2):
         raise InputError(f"num_nodes is {nodes}; give 0 for problems alone, or 3 to 32767")
-    default = (
-        Path("data") / f"{robot.name}_{config.split}{'.npz' if config.split == 'test' else ''}"
-    )
+    family = "" if config.family == "paper" else f"{config.family}_"
+    ending = ".npz" if config.split == "test" else ""
+    default = Path("data") / f"{robot.name}_{family}{config.split}{ending}"
     out = default if config.out is None else config.out
     one_file = out.suffix == ".npz"
     if one_file and out.exists():
@@ -181,6 +230,7 @@ def generate(config: GenerateConfig) -> Path:
     folder = out.with_suffix(".parts") if one_file else out
     settings = {
         "split": config.split,
+        "family": config.family,
         "num_nodes": nodes,
         "shard_size": config.shard_size,
         "checker": config.checker,
@@ -200,7 +250,8 @@ def _draw_shards(robot: Robot, folder: Path, num: int, settings: dict[str, Any],
     done = {}
     if (folder / MANIFEST).exists():
         done = {shard["file"]: shard["problems"] for shard in read_manifest(folder)["shards"]}
-    draw = generate_labelled(robot, settings["num_nodes"], settings["checker"])
+    family = settings["family"]
+    draw = generate_labelled(robot, settings["num_nodes"], settings["checker"], family)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     with Progress(*columns, TimeRemainingColumn()) as progress:
         task = progress.add_task("compiling and drawing", total=num)
@@ -208,7 +259,7 @@ def _draw_shards(robot: Robot, folder: Path, num: int, settings: dict[str, Any],
             wanted = min(size, num - first)
             if done.get(f"shard_{index:05d}.npz") != wanted:
                 # Whole shards, also at the end: one compilation, and the same problems.
-                drawn = draw(problem_keys(seed, settings["split"], first, size))
+                drawn = draw(problem_keys(seed, settings["split"], first, size, family))
                 drawn = jax.tree.map(lambda x, n=wanted: np.asarray(x)[:n], drawn)
                 problems = to_problem_set(robot, drawn)
                 save_shard(folder, index, problems, seed=seed, settings=settings)

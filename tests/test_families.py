@@ -1,0 +1,153 @@
+"""Families: scenes that are what they say, and problems that are valid and reproducible."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gnnjax import family_problem
+from gnnjax.certify import configuration_clearance
+from gnnjax.collision import boxes_clear, make_checker
+from gnnjax.errors import InputError
+from gnnjax.families import FAMILIES, Region
+from gnnjax.family_problem import arm_reach, in_region, sample_family_problem, tip_positions
+from gnnjax.generate import GenerateConfig, generate, generate_labelled, problem_keys
+from gnnjax.problem import load_problems, read_manifest
+from gnnjax.robot import load_robot
+from gnnjax.scene import BOX_BUCKETS, is_axis_aligned
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+NUM_BOXES = {
+    "shelf": (6, 9),
+    "table": (5, 10),
+    "window": (4, 4),
+    "clutter": (10, 20),
+    "bin": (5, 5),
+}
+
+
+@functools.cache
+def sampled(path, family):
+    """Three problems of a family for the tiny arm, as NumPy arrays."""
+    robot = load_robot(path)
+    check = make_checker(robot).check_configurations
+    clear = functools.partial(boxes_clear, robot, q=jnp.zeros(3), base_only=True)
+
+    def one(key):
+        return sample_family_problem(key, family, robot, check, clear)
+
+    keys = jax.random.split(jax.random.key(0), 3)
+    batch = jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(keys))
+    return robot, batch, jax.jit(one)(keys[1])
+
+
+def inside(region, point):
+    rotation = Rotation.from_quat(region.quat, scalar_first=True)
+    return np.abs(rotation.inv().apply(point - region.center)) <= region.half_extents + 1e-5
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_scenes_fill_a_bucket_with_turned_boxes_of_positive_size(family):
+    keys = jax.random.split(jax.random.key(0), 200)
+    drawn = jax.tree.map(np.asarray, jax.jit(jax.vmap(FAMILIES[family]))(keys))
+    scene = drawn.scene
+    assert scene.mask.shape[1] in BOX_BUCKETS
+    counts = scene.mask.sum(axis=1)
+    assert (counts.min(), counts.max()) == NUM_BOXES[family]
+    assert (scene.half_extents > 0).all()
+    np.testing.assert_allclose(np.linalg.norm(scene.quats, axis=-1), 1, atol=1e-5)
+    assert not is_axis_aligned(scene)
+    for region in (drawn.start, drawn.goal):
+        assert (region.half_extents > 0).all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_problems_are_valid_and_the_tip_is_where_it_should_be(tiny_path, family):
+    robot, batch, _ = sampled(tiny_path, family)
+    assert batch.found.all()
+    for i in range(3):
+        problem, first, last, _ = jax.tree.map(lambda x, i=i: x[i], batch)
+        for q, region in ((problem.start, first), (problem.goal, last)):
+            assert configuration_clearance(robot, problem.scene, q) > 0
+            assert ((q >= robot.joint_lower) & (q <= robot.joint_upper)).all()
+            tip = np.asarray(tip_positions(robot, jnp.asarray(q)))
+            assert inside(region, tip).all()
+            assert bool(in_region(Region(*map(jnp.asarray, region)), jnp.asarray(tip)))
+    assert len({x.tobytes() for x in (*batch.problem.start, *batch.problem.goal)}) == 6
+
+
+@pytest.mark.parametrize("family", ["shelf", "clutter"])
+def test_a_batch_equals_single_draws(tiny_path, family):
+    _, batch, single = sampled(tiny_path, family)
+    for many, one in zip(jax.tree.leaves(batch), jax.tree.leaves(single), strict=True):
+        np.testing.assert_allclose(many[1], one, atol=1e-5)
+
+
+def test_only_the_window_leads_through_its_wall():
+    keys = jax.random.split(jax.random.key(1), 20)
+    drawn = jax.tree.map(np.asarray, jax.jit(jax.vmap(FAMILIES["window"]))(keys))
+    for i in range(20):
+        centers, half_extents = drawn.scene.centers[i, :4], drawn.scene.half_extents[i, :4]
+        turn = Rotation.from_quat(drawn.scene.quats[i, 0], scalar_first=True)
+        sides = turn.inv().apply(centers)
+        lower, upper = (sides + s * half_extents for s in (-1, 1))
+        # The four parts and the window make up the whole rectangle.
+        width, height = upper[1, 1] - lower[0, 1], upper[0, 2] - lower[0, 2]
+        hole = (lower[1, 1] - upper[0, 1]) * (lower[3, 2] - upper[2, 2])
+        area = np.prod(2 * half_extents[:, 1:], axis=1).sum()
+        np.testing.assert_allclose(area + hole, width * height, rtol=1e-4)
+        assert 0.3**2 < hole < 0.6**2
+
+
+@pytest.mark.parametrize("name", ["kuka_iiwa14", "kinova_gen3"])
+def test_the_reach_of_shipped_arms_is_a_ball_around_the_shoulder(name):
+    reach = arm_reach(load_robot(name))
+    np.testing.assert_allclose(reach.center[:2], 0, atol=0.05)
+    assert 0.2 < reach.center[2] < 0.5
+    assert 0.7 < reach.radius < 1.1
+
+
+def test_sets_of_a_family_are_reproducible_and_apart(tiny_path, tmp_path):
+    robot = load_robot(tiny_path)
+    starts = {}
+    runs = [("a", "bin", "test"), ("b", "bin", "test"), ("c", "bin", "validation")]
+    runs += [("d", "window", "test"), ("e", "paper", "test")]
+    for name, family, split in runs:
+        out = tmp_path / f"{name}.npz"
+        common = {"robot": str(tiny_path), "num_problems": 2, "num_nodes": 0, "shard_size": 2}
+        generate(GenerateConfig(split=split, family=family, out=out, **common))
+        starts[name] = load_problems(out, robot).problems.start.tobytes()
+    assert starts["a"] == starts["b"]
+    assert len(set(starts.values())) == len(runs) - 1
+
+
+def test_a_training_set_of_a_family_has_roadmaps_and_names_it(tiny_path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = generate(
+        GenerateConfig(
+            robot=str(tiny_path), family="table", num_problems=2, num_nodes=24, shard_size=2
+        )
+    )
+    assert str(out) == "data/tiny_table_train"
+    assert read_manifest(out)["settings"]["family"] == "table"
+    problems = load_problems(out, load_robot(tiny_path))
+    scenes, nodes = problems.problems.scene, problems.extras["roadmap_nodes"]
+    for i in range(2):
+        scene = jax.tree.map(lambda x, i=i: x[i], scenes)
+        for q in nodes[i][problems.extras["roadmap_node_mask"][i]]:
+            assert configuration_clearance(load_robot(tiny_path), scene, q) > 0
+
+
+def test_a_family_that_does_not_fit_and_one_that_is_unknown_are_input_errors(
+    tiny_path, monkeypatch
+):
+    robot = load_robot(tiny_path)
+    with pytest.raises(InputError, match="no family 'shelves'; there are .*'paper', 'shelf'"):
+        generate_labelled(robot, 0, family="shelves")
+    monkeypatch.setattr(family_problem, "_MAX_SCENES", 0)
+    with pytest.raises(InputError, match="no start and goal for 2 of 2 problems .* 'bin'"):
+        generate_labelled(robot, 0, family="bin")(problem_keys(0, "test", 0, 2, "bin"))
