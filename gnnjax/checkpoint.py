@@ -34,8 +34,8 @@ def find_weights(weights: str | Path) -> Path:
             return folder
     known = sorted(folder.name for folder in shipped.iterdir() if folder.is_dir())
     raise InputError(
-        f"no checkpoint folder {str(weights)!r}; train one (python -m gnnjax.train), or name one of "
-        f"{known}"
+        f"no checkpoint folder {str(weights)!r}; train one (python -m gnnjax.train), or name one "
+        f"of {known}"
     )
 
 

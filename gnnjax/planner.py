@@ -73,7 +73,8 @@ def load_planner(
         num_nodes: nodes of a roadmap, start and goal included.
         max_roadmaps: on failure, sample a new roadmap up to this many times; 1 is the paper's way.
         weights: checkpoint folder of the network, or the name of shipped weights; by default those
-            of the robot, or of the Kuka, which serve any arm of up to seven joints, as in the paper.
+            of the robot, or of the Kuka, which serve any arm of up to seven joints, as in the
+            paper.
         checker: collision backend, "fused" or "mjx".
         resolution: largest distance of neighbouring configurations tested along an edge, rad or m.
         time_limit: after this many seconds no further roadmap is begun.
