@@ -17,15 +17,13 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
+from experiments.cases import CLASSICAL, classical_case, own_case
 from experiments.measure import ExperimentConfig, measure, problem_set, save_results
 from experiments.style import COLORS, label
-from gnnjax.checkpoint import shipped_weights
 from gnnjax.errors import atomic_write, run_command
-from gnnjax.evaluate import EvaluateConfig
 from gnnjax.planner import Method
 
 CLAIM = "A learned guide finds paths with fewer collision checks than PRM, RRT* and BIT* in R^7."
-CLASSICAL = ("ompl:rrt_connect", "ompl:bit_star", "ompl:rrt_star", "ompl:prm")
 
 # What the paper states of its Figure 5 in words, over all roadmap sizes.
 PAPER = {
@@ -64,45 +62,23 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
     public = config.data / f"{Path(robot).stem}_public.npz"
     if public.exists():
         sets["public"] = public
-    paper_weights = shipped_weights("kuka_iiwa14_paper")
+    num = config.num_problems
     for num_nodes in config.num_nodes:
-        for planner in get_args(Method):
+        for planner in (*get_args(Method), "gnn_paper"):
             for name, path in sets.items():
-                yield {"set": name, "planner": planner, "num_nodes": num_nodes} | measure(
-                    _case(config, path, robot, planner, num_nodes), config.seeds, config.runs
-                )
-        for name, path in sets.items():
-            # The paper's network and its algorithm: one roadmap, no second try.
-            case = _case(config, path, robot, "gnn", num_nodes)
-            case = dataclasses.replace(case, weights=paper_weights, max_roadmaps=1)
-            yield {"set": name, "planner": "gnn_paper", "num_nodes": num_nodes} | measure(
-                case, config.seeds, config.runs
-            )
+                case = own_case(path, robot, planner, num_nodes, num)
+                key = {"set": name, "planner": planner, "num_nodes": num_nodes}
+                yield key | measure(case, config.seeds, config.runs)
     for planner in CLASSICAL:
         for name, path in sets.items():
-            yield {"set": name, "planner": planner, "num_nodes": None} | measure(
-                _case(config, path, robot, planner), config.seeds, config.runs
-            )
+            case = classical_case(path, robot, planner, num)
+            key = {"set": name, "planner": planner, "num_nodes": None}
+            yield key | measure(case, config.seeds, config.runs)
     # At the resolution of an earlier measurement with PyBullet, to compare.
     for name, path in sets.items():
-        case = _case(config, path, robot, "ompl:rrt_connect")
-        case = dataclasses.replace(case, resolution=0.02)
-        yield {"set": name, "planner": "ompl:rrt_connect@0.02", "num_nodes": None} | measure(
-            case, config.seeds, config.runs
-        )
-
-
-def _case(
-    config: Figure5Config, problems: Path, robot: str, planner: Any, num_nodes: int = 200
-) -> EvaluateConfig:
-    return EvaluateConfig(
-        problems=problems,
-        json=Path(),
-        robot=robot,
-        planner=planner,
-        num_nodes=num_nodes,
-        num_problems=config.num_problems,
-    )
+        case = classical_case(path, robot, "ompl:rrt_connect", num)
+        key = {"set": name, "planner": "ompl:rrt_connect@0.02", "num_nodes": None}
+        yield key | measure(dataclasses.replace(case, resolution=0.02), config.seeds, config.runs)
 
 
 PANELS = (

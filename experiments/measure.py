@@ -109,7 +109,7 @@ def slug(case: EvaluateConfig) -> str:
     for name, value in dataclasses.asdict(case).items():
         known = name in ("problems", "json", "planner", "num_nodes", "seed", "robot")
         if not known and value != default[name]:
-            text = value.parent.name + "-" + value.name if isinstance(value, Path) else str(value)
+            text = str(value).replace("/", "-").strip("-.")
             parts.append(f"{name.replace('_', '-')}-{text}")
     return "_".join(parts)
 

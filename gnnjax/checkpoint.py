@@ -22,9 +22,27 @@ from gnnjax.model import GuidanceNetwork
 FORMAT = 1
 
 
-def shipped_weights(name: str = "kuka_iiwa14") -> Path:
-    """The folder of the weights that come with the package."""
-    return Path(__file__).parent / "weights" / name
+def find_weights(weights: str | Path) -> Path:
+    """The folder of a checkpoint: a path, or the name of weights that come with the package.
+
+    Raises:
+        InputError: there is neither.
+    """
+    shipped = Path(__file__).parent / "weights"
+    for folder in (Path(weights), shipped / weights):
+        if folder.is_dir():
+            return folder
+    known = sorted(folder.name for folder in shipped.iterdir() if folder.is_dir())
+    raise InputError(
+        f"no checkpoint folder {str(weights)!r}; train one (python -m gnnjax.train), or name one "
+        f"of {known}"
+    )
+
+
+def default_weights(robot: str) -> Path:
+    """The shipped weights for a robot: its own, or those of the Kuka, which serve other arms."""
+    shipped = Path(__file__).parent / "weights"
+    return shipped / (robot if (shipped / robot).is_dir() else "kuka_iiwa14")
 
 
 def metadata(network: GuidanceNetwork, training: dict[str, Any]) -> dict[str, Any]:
@@ -77,13 +95,16 @@ def read_metadata(folder: str | Path) -> dict[str, Any]:
     return meta
 
 
-def load_network(folder: str | Path) -> GuidanceNetwork:
+def load_network(weights: str | Path) -> GuidanceNetwork:
     """Rebuilds a network from its checkpoint.
+
+    Args:
+        weights: folder of a checkpoint, or the name of shipped weights.
 
     Raises:
         InputError: no checkpoint, a damaged one, or one of another format.
     """
-    folder = Path(folder).resolve()
+    folder = find_weights(weights).resolve()
     meta = read_metadata(folder)
     try:
         # Shapes alone: drawing initial weights to throw them away takes seconds.

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from gnnjax.certify import certify_path
 from gnnjax.collision import EDGE_RESOLUTION
-from gnnjax.compilation import cache_compilations
+from gnnjax.compilation import cache_compilations, run_where_called
 from gnnjax.errors import InputError
 from gnnjax.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.problem import Problem
@@ -88,6 +88,7 @@ class ClassicalPlanner:
                 "virtual environment of its own (docs/ompl.md)"
             )
         cache_compilations()
+        run_where_called()
         self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
         self.method, self.checker = method, checker
         self.resolution, self.time_limit = resolution, time_limit

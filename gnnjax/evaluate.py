@@ -72,7 +72,7 @@ class EvaluateConfig:
     """Problems planned at once. With 1, times are those of single queries; with more, the shares of
     each problem in its batch."""
     weights: Path | None = None
-    """Checkpoint of the network; by default the shipped one."""
+    """Checkpoint of the network, or name of shipped weights; by default those for the robot."""
     checker: Backend | Literal["mujoco"] = "fused"
     """Collision backend; mujoco, MuJoCo's C engine, is for the planners of OMPL."""
     resolution: float = EDGE_RESOLUTION

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from gnnjax.certify import certify_edges
-from gnnjax.checkpoint import load_network, shipped_weights
+from gnnjax.checkpoint import default_weights, load_network
 from gnnjax.collision import EDGE_RESOLUTION, Backend, EdgeChecks, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
 from gnnjax.errors import InputError
@@ -72,8 +72,9 @@ def load_planner(
             "oracle" (greedy by the exact cost-to-go: a bound, not a planner).
         num_nodes: nodes of a roadmap, start and goal included.
         max_roadmaps: on failure, sample a new roadmap up to this many times; 1 is the paper's way.
-        weights: checkpoint folder of the network; by default the shipped weights, which were
-            trained on the Kuka and serve any arm of up to seven joints, as in the paper.
+        weights: checkpoint folder of the network, or the name of shipped weights; by default those
+            of the robot, or of the Kuka, which serve any arm of up to seven joints, as in the
+            paper.
         checker: collision backend, "fused" or "mjx".
         resolution: largest distance of neighbouring configurations tested along an edge, rad or m.
         time_limit: after this many seconds no further roadmap is begun.
@@ -81,7 +82,7 @@ def load_planner(
     loaded = load_robot(robot)
     network = None
     if method in NETWORK_METHODS:
-        network = load_network(shipped_weights() if weights is None else weights)
+        network = load_network(default_weights(loaded.name) if weights is None else weights)
     return Planner(
         loaded,
         method,
