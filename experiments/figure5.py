@@ -18,8 +18,8 @@ import tyro
 from matplotlib.figure import Figure
 
 from experiments.cases import CLASSICAL, classical_case, own_case
-from experiments.measure import ExperimentConfig, measure, problem_set, save_results
-from experiments.style import COLORS, label
+from experiments.measure import ExperimentConfig, measure, problem_sets, save_results
+from experiments.style import BAND, COLORS, label
 from gnnjax.errors import atomic_write, run_command
 from gnnjax.planner import Method
 
@@ -58,11 +58,8 @@ def run(config: Figure5Config) -> None:
 
 def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
     robot = config.robot or "kuka_iiwa14"
-    sets = {"test": problem_set(config, robot, num_problems=config.num_problems)}
-    public = config.data / f"{Path(robot).stem}_public.npz"
-    if public.exists():
-        sets["public"] = public
     num = config.num_problems
+    sets = problem_sets(config, robot, num)
     for num_nodes in config.num_nodes:
         for planner in (*get_args(Method), "gnn_paper"):
             for name, path in sets.items():
@@ -121,9 +118,6 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=6)
     figure.suptitle("Means with 95 % intervals; dashed: OMPL; dotted: the paper's own numbers")
     atomic_write(out, lambda file: figure.savefig(file, dpi=110))
-
-
-BAND = ("mean", "low", "high")
 
 
 if __name__ == "__main__":

@@ -73,6 +73,13 @@ def problem_set(
     return path
 
 
+def problem_sets(config: ExperimentConfig, robot: str, num_problems: int) -> dict[str, Path]:
+    """The test set, and the public problems of the same arm if they are there."""
+    sets = {"test": problem_set(config, robot, num_problems=num_problems)}
+    public = config.data / f"{Path(robot).stem}_public.npz"
+    return sets | ({"public": public} if public.exists() else {})
+
+
 def measure(case: EvaluateConfig, seeds: Sequence[int], runs: Path) -> dict[str, Any]:
     """Evaluates a case for every seed and sums up; what is done already is read from `runs`.
 

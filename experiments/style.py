@@ -1,8 +1,16 @@
-"""Names and colors of the planners, the same in all figures and tables."""
+"""Names and colors of the planners, the same in all figures and tables, and bars of them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
 
 COLORS = {
     "gnn": "tab:red",
     "gnn_lazy": "tab:pink",
+    "gnn_own": "firebrick",
+    "gnn_lazy_own": "palevioletred",
     "gnn_paper": "tab:brown",
     "distance": "tab:orange",
     "lazysp": "tab:green",
@@ -15,6 +23,8 @@ COLORS = {
 }
 
 _LABELS = {
+    "gnn_own": "gnn, trained on this arm",
+    "gnn_lazy_own": "gnn_lazy, trained on this arm",
     "gnn_paper": "paper's network, one roadmap",
     "ompl:rrt_connect": "RRT-Connect",
     "ompl:rrt_connect@0.02": "RRT-Connect, every 0.02 rad",
@@ -30,3 +40,38 @@ _LABELS = {
 def label(planner: str) -> str:
     """What a planner is called in figures and tables."""
     return _LABELS.get(planner, planner)
+
+
+def draw_bars(
+    axes: Axes,
+    values: Mapping[str, Sequence[dict[str, Any] | None]],
+    groups: Sequence[str],
+    scale: float = 1.0,
+) -> None:
+    """Draws means with their 95 % intervals: a group of bars a place on x, a bar a planner.
+
+    Args:
+        axes: where.
+        values: of each planner, the statistics for each group; None leaves a gap.
+        groups: names of the groups.
+        scale: factor of all numbers.
+    """
+    width = 0.84 / len(values)
+    for number, (planner, statistics) in enumerate(values.items()):
+        there = [(group, v) for group, v in enumerate(statistics) if v is not None]
+        at = [group + width * (number - (len(values) - 1) / 2) for group, _ in there]
+        mean, low, high = (scale * np.array([v[k] for _, v in there]) for k in BAND)
+        error = np.maximum([mean - low, high - mean], 0)  # rounding
+        axes.bar(
+            at,
+            mean,
+            0.94 * width,
+            yerr=error,
+            color=COLORS[planner],
+            label=label(planner),
+            error_kw={"elinewidth": 0.8},
+        )
+    axes.set_xticks(range(len(groups)), groups)
+
+
+BAND = ("mean", "low", "high")

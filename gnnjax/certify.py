@@ -103,6 +103,23 @@ def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
     return float(body.clearance_and_need(_Boxes(scene), np.asarray(q, float)[None], still)[0][0])
 
 
+def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: float) -> float:
+    """Least distance [m] of the arm to boxes and itself along a path, seen at samples.
+
+    Args:
+        robot: the arm.
+        scene: one scene.
+        path: `[L, D]` configurations, joined by straight lines.
+        resolution: largest distance of neighbouring samples, configuration units.
+    """
+    path = np.asarray(path, float)
+    pieces = _lengths(path[:-1], path[1:]) / resolution
+    _, starts, _ = _cut(np.arange(len(path) - 1), path[:-1], path[1:], pieces)
+    samples = np.concatenate([starts, path[-1:]])
+    still = np.zeros((1, robot.num_dof))
+    return float(_spheres(robot).clearance_and_need(_Boxes(scene), samples, still)[0].min())
+
+
 class _Boxes:
     """The existing boxes of a scene, in double precision."""
 

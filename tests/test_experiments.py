@@ -1,0 +1,218 @@
+"""The experiments run, go on where they were cut off, and sum up as plain NumPy does."""
+
+import json
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from experiments import crossover, figure5, figure7, hard, measure
+from experiments.cases import CLASSICAL
+from experiments.crossover import FINE, RIVALS, Timed, faster, total_times, without_overhead
+from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
+from gnnjax.errors import InputError
+from gnnjax.evaluate import evaluate
+from gnnjax.planner import Method
+
+EXPERIMENTS = {
+    "figure5": (figure5.Figure5Config, figure5.run),
+    "figure7": (figure7.Figure7Config, figure7.run),
+    "crossover": (crossover.CrossoverConfig, crossover.run),
+    "hard": (hard.HardConfig, hard.run),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("experiments")
+
+
+def quick(name: str, tiny_path: Path, folder: Path) -> tuple[ExperimentConfig, dict]:
+    """Runs the quick form of an experiment; all share their runs, as the real ones do."""
+    make, run = EXPERIMENTS[name]
+    folders = {key: folder / key for key in ("data", "runs", "results")}
+    # The tiny arm has no weights of its own, and no families fit it: see below.
+    more = {"weights": Path("kuka_iiwa14")} if name == "figure7" else {}
+    config = make(quick=True, robot=str(tiny_path), **folders, **more)
+    run(config)
+    return config, load_results(folder / "results" / f"{name}.json")
+
+
+# One test for all of them, so that they run in one process and compile once.
+def test_quick_forms_write_results_and_figures_and_go_on(
+    tiny_path, folder, quick_compilation, monkeypatch
+):
+    planned = []
+
+    def counted(config, planner=None):
+        before = config.json.exists() and json.loads(config.json.read_text())["complete"]
+        planned.extend([] if before else [config.json.name])
+        return evaluate(config, planner)
+
+    monkeypatch.setattr(measure, "evaluate", counted)
+    own = {*get_args(Method), "gnn_paper"}
+    expected = {
+        "figure5": own | set(CLASSICAL) | {"ompl:rrt_connect@0.02"},
+        "figure7": own | set(CLASSICAL) | {"gnn_own", "gnn_lazy_own"},
+        "crossover": {*crossover.OWN, *RIVALS},
+        "hard": set(hard.PLANNERS),
+    }
+    for name, planners in expected.items():
+        config, results = quick(name, tiny_path, folder)
+        assert results["experiment"] == name
+        assert results["claim"]
+        assert {row["planner"] for row in results["rows"]} == planners
+        assert all("python -m gnnjax.evaluate" in row["command"] for row in results["rows"])
+        assert (config.results / f"{name}.png").stat().st_size > 10_000
+    # Each case was evaluated once, whoever asked for it.
+    assert len(set(planned)) == len(planned)
+
+    # Killed in the middle of one case, before the results of the others were written.
+    times = (folder / "results" / "figure5.json").read_text()
+    (folder / "results" / "figure5.json").unlink()
+    cut = next(path for path in (folder / "runs").iterdir() if "lazysp_30" in path.name)
+    half = json.loads(cut.read_text())
+    half |= {"problems": half["problems"][:1], "complete": False, "summary": {}}
+    cut.write_text(json.dumps(half))
+    planned.clear()
+    quick("figure5", tiny_path, folder)
+    assert planned == [cut.name]
+    rows, earlier = (
+        {row["planner"]: row for row in json.loads(text)["rows"]}
+        for text in ((folder / "results" / "figure5.json").read_text(), times)
+    )
+    del rows["lazysp"], earlier["lazysp"]
+    assert rows == earlier  # times too: nothing was run again
+
+
+def some_rows(rng, num: int) -> list[dict]:
+    """Rows of one seed; the same problems are valid and hard for each seed."""
+    rows = []
+    for index in range(num):
+        success = bool(rng.random() < 0.8)
+        rows.append(
+            {
+                "index": index,
+                "valid": index != 3,
+                "hard": index % 2 == 0,
+                "success": success,
+                "certified": success,
+                "roadmaps": int(rng.integers(1, 3)),
+                "cost": float(rng.uniform(2, 9)) if success else None,
+                "edge_checks": None,
+                **{
+                    name: float(rng.uniform(0, 100))
+                    for name in measure.QUANTITIES
+                    if name not in ("cost", "edge_checks")
+                },
+            }
+        )
+    return rows
+
+
+def test_summaries_over_seeds_are_those_of_the_rows():
+    rng = np.random.default_rng(1)
+    seeds = [some_rows(rng, 20) for _ in range(3)]
+    summary = summarize_seeds(seeds, keep=lambda index: index < 15)
+    assert (summary["num_problems"], summary["num_seeds"], summary["num_invalid"]) == (20, 3, 1)
+    for stratum in ("all", "hard"):
+        chosen = [
+            row
+            for seed in seeds
+            for row in seed
+            if row["valid"] and row["index"] < 15 and (row["hard"] or stratum == "all")
+        ]
+        part = summary[stratum]
+        assert part["num_problems"] == len(chosen) / 3
+        costs = [row["cost"] for row in chosen if row["success"]]
+        checks = [row["configuration_checks"] for row in chosen]
+        for name, values in {"cost": costs, "configuration_checks": checks}.items():
+            assert part[name]["mean"] == pytest.approx(np.mean(values))
+            assert part[name]["median"] == pytest.approx(np.median(values))
+            assert part[name]["p95"] == pytest.approx(np.quantile(values, 0.95))
+            assert part[name]["low"] < part[name]["mean"] < part[name]["high"]
+        assert part["success"]["mean"] == pytest.approx(len(costs) / len(chosen))
+        first = [row["success"] and row["roadmaps"] == 1 for row in chosen]
+        assert part["success_first_roadmap"]["mean"] == pytest.approx(np.mean(first))
+
+
+def test_intervals_are_those_of_a_mean_over_problems():
+    rng = np.random.default_rng(2)
+    # Seeds of a problem agree, so that only the 400 problems count: standard error 1 / 20.
+    values = np.tile(rng.normal(size=400), (3, 1))
+    found = statistics(values, np.ones(values.shape, bool))
+    assert found is not None
+    error = 1.96 * values[0].std() / np.sqrt(400)
+    assert found["high"] - found["mean"] == pytest.approx(error, rel=0.15)
+    assert found["mean"] - found["low"] == pytest.approx(error, rel=0.15)
+    assert statistics(values, np.zeros(values.shape, bool)) is None
+
+
+def timed(time: list, checks: list, **key) -> Timed:
+    key = {"set": "test", "planner": "gnn", "num_nodes": 200, "bound": False} | key
+    times = np.array([time], float)
+    everything = np.ones(times.shape[1], bool)
+    return Timed(
+        key,
+        "",
+        times,
+        np.array([checks], float),
+        np.ones_like(times),
+        {"all": everything, "hard": everything},
+    )
+
+
+def test_crossovers_are_where_the_lines_cross():
+    guide = timed([2e-3, 4e-3], [300, 500])  # mean 3 ms + 400 c
+    cheap = timed([1e-3, 1e-3], [2000, 2800], planner="lazysp")  # mean 1 ms + 2400 c
+    small = timed([1e-3, 1e-3], [10, 10], planner="distance")  # better everywhere
+    slow = timed([1.0, 1.0], [100, 100], planner="ompl:bit_star", num_nodes=None)
+    bound = without_overhead(slow)  # 100 c: better everywhere
+    np.testing.assert_allclose(
+        total_times(guide, "all", np.array([0.0, 1e-3])),
+        [[[2e-3, 4e-3]], [[0.302, 0.504]]],
+    )
+    found = {
+        (row["rival"], row["bound"]): row
+        for row in crossover.crossovers([guide, cheap, small, slow, bound])
+        if row["stratum"] == "all" and row["average"] == "mean"
+    }
+    step = FINE[1] / FINE[0]
+    crossing = 2e-3 / 2000
+    assert 1 <= found["lazysp", False]["from_s"] / crossing < step
+    assert found["lazysp", False]["intervals_s"][0][1] == FINE[-1]
+    assert found["distance", False] == found["distance", False] | {
+        "from_s": None,
+        "intervals_s": [],
+    }
+    # Faster while checks are cheap, and slower from (1 - 0.003) / 300 s on.
+    (low, high), *rest = found["ompl:bit_star", False]["intervals_s"]
+    assert not rest
+    assert low == FINE[0]
+    assert 1 / step < high / (0.997 / 300) <= 1
+    assert found["ompl:bit_star", False]["from_s"] is None
+    assert found["ompl:bit_star", True]["intervals_s"] == []
+
+
+def test_faster_names_all_intervals():
+    price = np.arange(6.0)
+    ours, theirs = np.array([1, 3, 3, 1, 3, 1]), np.full(6, 2)
+    assert faster(price, ours, theirs) == {
+        "from_s": 5.0,
+        "intervals_s": [[0, 0], [3, 3], [5, 5]],
+    }
+
+
+def test_other_files_are_no_results(tmp_path):
+    with pytest.raises(InputError, match=r"run python -m experiments\.run_all"):
+        load_results(tmp_path / "none.json")
+    (tmp_path / "old.json").write_text('{"format": 0}')
+    with pytest.raises(InputError, match="format 0, this version reads 1"):
+        load_results(tmp_path / "old.json")
+
+
+def test_strata_split_by_upper_ends():
+    found = hard._between(np.array([2, 3, 4, 9, np.nan]), {"few": 3, "many": np.inf})
+    assert found["few"].tolist() == [True, True, False, False, False]
+    assert found["many"].tolist() == [False, False, True, True, False]
