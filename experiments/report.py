@@ -1,0 +1,327 @@
+"""Writes the results into the texts: docs/results.md and the README's tables.
+
+    python -m experiments.report
+
+Every number comes from the JSON in `results/`; none is typed by hand.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from experiments import paper
+from experiments.measure import load_results
+from experiments.style import label
+from gnnjax.errors import InputError, atomic_write, run_command
+
+Row = dict[str, Any]
+
+SETS = {"test": "The project's own 300 test problems", "public": "The first 300 public problems"}
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportConfig:
+    """Write all texts that hold results."""
+
+    results: Path = Path("results")
+    """Where the JSON is."""
+    docs: Path = Path("docs")
+    """Where results.md and paper.md go."""
+    readme: Path = Path("README.md")
+    """Whose tables are replaced."""
+
+
+def cell(part: Row | None, form: str, scale: float = 1.0, key: str = "mean") -> str:
+    """One number of a summary; a dash where there is none."""
+    return "-" if part is None else f"{scale * part[key]:{form}}"
+
+
+def interval(part: Row | None, form: str, scale: float = 1.0) -> str:
+    """A mean with its 95 % interval."""
+    if part is None:
+        return "-"
+    low, high = (f"{scale * part[key]:{form}}" for key in ("low", "high"))
+    return f"{scale * part['mean']:{form}} ({low} to {high})"
+
+
+def both(row: Row, write: Callable[[Row], str]) -> str:
+    """A cell for all problems / the hard ones."""
+    return " / ".join(write(row["summary"][stratum]) for stratum in ("all", "hard"))
+
+
+# Title of a column, and what it holds for a stratum.
+_MAIN: tuple[tuple[str, Callable[[Row], str]], ...] = (
+    ("solved, %", lambda part: cell(part["success"], ".1f", 100)),
+    ("certified, %", lambda part: cell(part["certified"], ".1f", 100)),
+    ("edge checks, mean", lambda part: cell(part["edge_checks"], ".1f")),
+    ("configuration checks, mean", lambda part: cell(part["configuration_checks"], ".0f")),
+    ("median", lambda part: cell(part["configuration_checks"], ".0f", key="median")),
+    ("cost, mean", lambda part: cell(part["cost"], ".2f")),
+    ("planning, ms", lambda part: cell(part["planning_time_s"], ".1f", 1e3, "median")),
+    ("total, ms", lambda part: cell(part["total_time_s"], ".1f", 1e3, "median")),
+)
+
+_DETAIL: tuple[tuple[str, Callable[[Row], str]], ...] = (
+    ("solved, %", lambda part: interval(part["success"], ".1f", 100)),
+    ("with one roadmap, %", lambda part: cell(part["success_first_roadmap"], ".1f", 100)),
+    ("edge checks", lambda part: interval(part["edge_checks"], ".1f")),
+    ("95th percentile", lambda part: cell(part["edge_checks"], ".0f", key="p95")),
+    ("configuration checks", lambda part: interval(part["configuration_checks"], ".0f")),
+    ("of them sampling", lambda part: cell(part["sampling_checks"], ".0f")),
+    ("cost", lambda part: interval(part["cost"], ".2f")),
+)
+
+
+def markdown(head: list[str], lines: list[list[str]]) -> str:
+    """A Markdown table."""
+    rows = [head, ["---"] * len(head), *lines]
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
+
+
+def planner_table(rows: list[Row], columns=_MAIN) -> str:
+    """A row a planner and roadmap size, cells for all problems / the hard ones."""
+    ordered = sorted(rows, key=lambda row: row["num_nodes"] or 0)
+    lines = [
+        [str(row["num_nodes"] or "-"), label(row["planner"])]
+        + [both(row, write) for _, write in columns]
+        for row in ordered
+    ]
+    return markdown(["N", "planner", *[title for title, _ in columns]], lines)
+
+
+def measured_on(results: Row, row: Row) -> str:
+    """Problems, seeds and machine, in a sentence."""
+    summary, machine = row["summary"], results["machine"]
+    num = summary["num_problems"]
+    return (
+        f"{num} problems, {num - summary['num_invalid']} of them valid "
+        f"({summary['num_invalid']} have an end in collision) and "
+        f"{summary['hard']['num_problems']} hard; {summary['num_seeds']} seeds. "
+        f"{machine['processor']}, {machine['cores']} cores, jax {machine['jax']}, gnnjax "
+        f"{machine['gnnjax']}."
+    )
+
+
+def main_tables(results: Row) -> dict[str, str]:
+    """The README's table of each problem set."""
+    texts = {}
+    for name in SETS:
+        chosen = [row for row in results["rows"] if row["set"] == name]
+        if chosen:
+            commands = f"A row is made by\n\n```sh\n{chosen[0]['command']}\n```\n"
+            texts[name] = "\n".join(
+                [planner_table(chosen), measured_on(results, chosen[0]) + " " + commands]
+            )
+    return texts
+
+
+def replace_section(text: str, name: str, content: str, source: Path) -> str:
+    """Replaces what is between the comments `<!-- name -->` and `<!-- /name -->`."""
+    begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"
+    if begin not in text or end not in text:
+        raise InputError(f"{source} lacks the comments {begin.strip()} and {end}; add them")
+    head, rest = text.split(begin, 1)
+    return head + begin + content + end + rest.split(end, 1)[1]
+
+
+# An earlier measurement of RRT-Connect (OMPL 1.7) on 1,000 problems of the same public source, with
+# PyBullet's checks every 0.02 rad: solved %, configuration checks median and mean, cost; all, hard.
+EARLIER = (("all", 98.8, 450, 3567, 10.3), ("hard", 97.4, 764, 7243, 13.1))
+
+
+def rrt_connect_table(results: Row) -> str:
+    """RRT-Connect at both resolutions on the public problems, beside the earlier measurement."""
+    lines = [
+        [f"PyBullet, 0.02 rad, {stratum}", f"{solved}", str(median), str(mean), f"{cost}", "-"]
+        for stratum, solved, median, mean, cost in EARLIER
+    ]
+    for row in results["rows"]:
+        if row["set"] == "public" and row["planner"].startswith("ompl:rrt_connect"):
+            for stratum in ("all", "hard"):
+                part = row["summary"][stratum]
+                checks = part["configuration_checks"]
+                lines.append(
+                    [
+                        f"here, {row['settings']['resolution']} rad, {stratum}",
+                        cell(part["success"], ".1f", 100),
+                        cell(checks, ".0f", key="median"),
+                        cell(checks, ".0f"),
+                        cell(part["cost"], ".2f"),
+                        cell(part["certified"], ".1f", 100),
+                    ]
+                )
+    head = ["measured", "solved, %", "configuration checks, median", "mean", "cost", "certified, %"]
+    return markdown(head, lines)
+
+
+def crossover_table(results: Row) -> str:
+    """From which price of a configuration check on a guide is faster, hard problems."""
+    lines = []
+    for found in results["crossovers"]:
+        if found["set"] != "test" or found["stratum"] != "hard":
+            continue
+        rival = label(found["rival"]) + (", checks alone" if found["bound"] else "")
+        lines.append(
+            [
+                str(found["num_nodes"]),
+                found["guide"],
+                rival,
+                found["average"],
+                seconds(found["from_s"]),
+            ]
+        )
+    head = ["N", "guide", "against", "average", "faster from (price of a check)"]
+    return markdown(head, lines)
+
+
+def seconds(value: float | None) -> str:
+    """A price in a readable unit."""
+    if value is None:
+        return "never"
+    if value <= 1.0001e-8:
+        return "always"
+    for unit, scale in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if value >= scale:
+            return f"{value / scale:.2g} {unit}"
+    return f"{value:.2g} s"
+
+
+def strata_table(rows: list[Row]) -> str:
+    """Success and configuration checks, a row a stratum and a column a planner."""
+    planners = list(dict.fromkeys(row["planner"] for row in rows))
+    lines = []
+    for stratum in dict.fromkeys(row["stratum"] for row in rows):
+        chosen = {row["planner"]: row["summary"] for row in rows if row["stratum"] == stratum}
+        num = chosen[planners[0]]["all"]["num_problems"]
+        if not num:
+            continue
+        cells = []
+        for planner in planners:
+            part = chosen[planner]["all"]
+            cells.append(
+                f"{cell(part['success'], '.0f', 100)} %, "
+                f"{cell(part['configuration_checks'], '.0f')} "
+                f"({cell(part['configuration_checks'], '.0f', key='median')})"
+            )
+        lines.append([stratum.replace("\n", " "), str(num), *cells])
+    return markdown(["stratum", "problems", *map(label, planners)], lines)
+
+
+def failures_table(results: Row) -> str:
+    """Dead ends, cost and swinging of each planner."""
+    columns = (
+        ("dead ends, %", "dead_ends", ".1f", 100.0),
+        ("cost over the shortest path's", "cost_ratio", ".3f", 1.0),
+        ("paths that turn back, %", "swinging", ".1f", 100.0),
+        ("turns of more than 90 degrees a path", "reversals", ".2f", 1.0),
+        ("failed where an end lies in a voxel, %", "failure_end_in_voxel", ".1f", 100.0),
+        ("failed elsewhere, %", "failure_ends_clear_of_voxels", ".1f", 100.0),
+    )
+    lines = [
+        [str(row["num_nodes"]), label(row["planner"])]
+        + [interval(row[name], form, scale) for _, name, form, scale in columns]
+        for row in results["rows"]
+    ]
+    return markdown(["N", "planner", *[title for title, *_ in columns]], lines)
+
+
+def ablation_table(results: Row) -> str:
+    """What each variant of the network does, one roadmap, no second try."""
+    lines = [[row["variant"]] + [both(row, write) for _, write in _DETAIL] for row in results["rows"]]
+    return markdown(["variant", *[title for title, _ in _DETAIL]], lines)
+
+
+def results_page(results: dict[str, Row]) -> str:
+    """docs/results.md."""
+    figure5, figure7, hard = results["figure5"], results["figure7"], results["hard"]
+    parts = [
+        "# Results\n",
+        "Made by `python -m experiments.run_all`, which measures, draws and writes this page; the "
+        "numbers are those of the JSON files in [results/](../results). Cells are for all problems "
+        "/ for the hard ones, whose straight line is blocked. In brackets: 95 % intervals, "
+        "bootstrapped over problems with all their seeds. Every configuration that a planner tests "
+        "counts as a configuration check, sampling included, for every planner alike; edges are "
+        "tested every 0.05 rad, unless stated otherwise, and a planner that takes more than 5 s a "
+        "problem has failed. The machine was shared with other work: times are to be compared with "
+        "each other, not with those of other machines.\n",
+    ]
+
+    def section(name: str, title: str, *body: str) -> None:
+        found = results[name]
+        parts.extend(
+            [
+                f"## {title}\n",
+                f"{found['claim']} `python -m experiments.{name}` "
+                f"([JSON](../results/{name}.json))\n",
+                f"![{title}](../results/{name}.png)\n",
+                *body,
+            ]
+        )
+
+    tables = []
+    for name, title in SETS.items():
+        chosen = [row for row in figure5["rows"] if row["set"] == name]
+        if chosen:
+            tables += [f"### {title}\n", measured_on(figure5, chosen[0]) + "\n"]
+            tables.append(planner_table(chosen, _DETAIL))
+    section("figure5", "Seven joints, over roadmap sizes", *tables)
+    if any(row["set"] == "public" for row in figure5["rows"]):
+        parts += ["### RRT-Connect beside an earlier measurement\n", rrt_connect_table(figure5)]
+        parts.append(RRT_CONNECT_NOTE)
+    section(
+        "figure7",
+        "Six joints",
+        measured_on(figure7, figure7["rows"][0]) + "\n",
+        planner_table(figure7["rows"], _DETAIL),
+    )
+    section("crossover", "When a guide pays", crossover_table(results["crossover"]))
+    strata = []
+    for name, title in SETS.items():
+        chosen = [row for row in hard["rows"] if row["set"] == name]
+        if chosen:
+            strata += [f"### {title}\n", strata_table(chosen)]
+    families = [row for row in hard["rows"] if row["set"] not in SETS]
+    strata += ["### Families of hard scenes\n", "![Families](families.png)\n"]
+    note = "Solved, and configuration checks as mean (median).\n"
+    section("hard", "Hard problems", note, *strata, strata_table(families))
+    share = results["failures"]["grid"]["start_or_goal_in_a_voxel"]
+    section(
+        "failures",
+        "How the paper's planner fails",
+        failures_table(results["failures"]),
+        f"Start or goal, free in the scene, collides with the occupancy grid (voxels of 15 cm) in "
+        f"{100 * share:.0f} % of the problems.\n",
+    )
+    section("ablation", "Parts of the network", ablation_table(results["ablation"]))
+    return "\n".join(parts)
+
+
+RRT_CONNECT_NOTE = ""
+
+
+def texts(config: ReportConfig) -> dict[Path, str]:
+    """What every file with results should hold."""
+    names = ("figure5", "figure7", "crossover", "hard", "failures", "ablation")
+    results = {name: load_results(config.results / f"{name}.json") for name in names}
+    readme = config.readme.read_text(encoding="utf-8")
+    for name, table in main_tables(results["figure5"]).items():
+        readme = replace_section(readme, f"table-{name}", table, config.readme)
+    return {
+        config.readme: readme,
+        config.docs / "results.md": results_page(results),
+        config.docs / "paper.md": paper.page(results),
+    }
+
+
+def run(config: ReportConfig) -> None:
+    """Writes the texts."""
+    for path, text in texts(config).items():
+        atomic_write(path, lambda file, text=text: file.write_text(text, encoding="utf-8"))
+        print(f"wrote {path}")
+
+
+if __name__ == "__main__":
+    run_command(lambda: run(tyro.cli(ReportConfig)))
