@@ -1,4 +1,4 @@
-"""Draws one problem of each family: the README's picture `docs/families.png`.
+"""Draws one problem of each family: the picture `docs/families.png`.
 
 MUJOCO_GL=egl python -m experiments.draw_families
 """
@@ -48,8 +48,8 @@ def draw_families(config: DrawConfig) -> None:
     robot = load_robot(config.robot)
     figure = Figure(figsize=(9, 6.4), layout="constrained")
     for place, (family, title) in enumerate(_TITLES.items(), start=1):
-        keys = problem_keys(0, "test", config.index, 1, family)  # pyright: ignore
-        drawn = generate_labelled(robot, 0, family=family)(keys)  # pyright: ignore
+        keys = problem_keys(0, "test", config.index, 1, family)
+        drawn = generate_labelled(robot, 0, family=family)(keys)
         assert isinstance(drawn, Problem)
         problem = jax.tree.map(lambda x: np.asarray(x[0]), drawn)
         axes = figure.add_subplot(2, 3, place)
@@ -74,8 +74,8 @@ def _render(robot: Robot, problem: Problem, on_one_side: bool) -> np.ndarray:
     option.geomgroup[:] = 1
     middle = scene.centers[scene.mask].mean(axis=0)
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = [0.4 * middle[0], 0.4 * middle[1], 0.4]
-    camera.distance, camera.elevation = 2.7, -28
+    camera.lookat[:] = [0.4 * middle[0], 0.4 * middle[1], 0.55]
+    camera.distance, camera.elevation = 3.0, -28
     # Past the arm, into what stands beside it.
     camera.azimuth = np.degrees(np.arctan2(middle[1], middle[0])) + 40 if on_one_side else 60
     moving = np.flatnonzero(model.geom_bodyid > 0)

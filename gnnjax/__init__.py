@@ -4,6 +4,7 @@ from gnnjax.certify import certify_edges, certify_path
 from gnnjax.checkpoint import load_network, save_network
 from gnnjax.collision import Checker, EdgeChecks, boxes_clear, make_checker
 from gnnjax.errors import InputError
+from gnnjax.family_problem import FamilyProblem, sample_family_problem
 from gnnjax.kinematics import forward_kinematics
 from gnnjax.labels import Labels, cost_to_go, edge_validity, label_roadmap
 from gnnjax.model import GuidanceNetwork
@@ -19,6 +20,7 @@ from gnnjax.search import Scorer, SearchResult, greedy_search, lazy_search
 __all__ = [
     "Checker",
     "EdgeChecks",
+    "FamilyProblem",
     "GuidanceNetwork",
     "InputError",
     "Labels",
@@ -51,6 +53,7 @@ __all__ = [
     "make_checker",
     "make_scene",
     "pad_scene",
+    "sample_family_problem",
     "sample_free",
     "sample_problem",
     "sample_roadmap",

@@ -43,7 +43,7 @@ class _Pose(NamedTuple):
 
 
 def draw_shelf(key: jax.Array) -> FamilyScene:
-    """An upright shelf of 2 to 8 compartments; the tip goes from one to another, or comes out."""
+    """An upright shelf of 2 to 6 compartments; the tip goes from one to another, or comes out."""
     keys = jax.random.split(key, 6)
     size_key, count_key, board_key, divider_key, cell_key, pose_key = keys
     #            distance, height of the bottom, width / 2, height, depth
@@ -77,7 +77,7 @@ def draw_shelf(key: jax.Array) -> FamilyScene:
 
     order_key, outside_key, swap_key = jax.random.split(cell_key, 3)
     # Two different compartments: the first two of those that exist in a random order.
-    rank = jnp.where(jnp.arange(8) < rows * columns, jax.random.uniform(order_key, (8,)), 2.0)
+    rank = jnp.where(jnp.arange(6) < rows * columns, jax.random.uniform(order_key, (6,)), 2.0)
     first, second = jnp.argsort(rank)[:2]
     outside = _region(pose, [-_FAR, -_FAR, -_FAR], [-0.1, _FAR, _FAR])
     ends_outside = jax.random.bernoulli(outside_key, 0.4)
@@ -91,17 +91,17 @@ def draw_table(key: jax.Array) -> FamilyScene:
     size_key, number_key, object_key, pose_key, swap_key = jax.random.split(key, 5)
     #      gap to the arm, height, depth / 2, width / 2
     gap, height, depth, width = _uniform(
-        size_key, [0.15, -0.35, 0.25, 0.45], [0.30, 0.00, 0.35, 0.65]
+        size_key, [0.15, -0.45, 0.25, 0.45], [0.30, -0.10, 0.35, 0.65]
     )
     pose = _beside_arm(pose_key, gap, height)
     number = jax.random.randint(number_key, (), 3, 9)
-    # Objects stand in the cells of a grid of 2 x 4, so that they stay out of each other.
+    # Objects stand in the cells of a grid of 2 x 4, which mostly keeps them apart.
     cell = jnp.arange(8)
     middle = jnp.stack([cell % 2 * 1.0 + 0.5, cell // 2 * 0.5 - 0.75], axis=1)
     middle = middle * jnp.stack([depth, width])
     shift_key, turn_key, extent_key, rank_key = jax.random.split(object_key, 4)
     middle = middle + _uniform(shift_key, [-0.03, -0.03], [0.03, 0.03], 8)
-    extents = _uniform(extent_key, [0.02, 0.02, 0.10], [0.07, 0.07, 0.35], 8)
+    extents = _uniform(extent_key, [0.03, 0.03, 0.15], [0.08, 0.08, 0.40], 8)
     turns = jax.random.uniform(turn_key, (8,), maxval=jnp.pi)
     exists = jnp.argsort(jax.random.uniform(rank_key, (8,))) < number
     furniture = _placed(
@@ -121,7 +121,7 @@ def draw_table(key: jax.Array) -> FamilyScene:
     )
     ends = [
         _region(pose, [0, min(a, b) * width, 0.03], [2 * depth, max(a, b) * width, 0.15])
-        for a, b in ((-0.4, -1.0), (0.4, 1.0))
+        for a, b in ((-0.2, -1.0), (0.2, 1.0))
     ]
     return FamilyScene(_padded(furniture, objects), *_swapped(swap_key, *ends))
 

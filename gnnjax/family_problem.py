@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from gnnjax.families import FAMILIES, FamilyName, FamilyScene, Region
+from gnnjax.families import FAMILIES, FamilyScene, Region
 from gnnjax.kinematics import forward_kinematics
 from gnnjax.problem import Problem
 from gnnjax.robot import Robot
@@ -40,7 +40,7 @@ class Reach(NamedTuple):
 
 def sample_family_problem(
     key: jax.Array,
-    family: FamilyName,
+    family: str,
     robot: Robot,
     check_configurations: Callable[[Scene, jax.Array], jax.Array],
     boxes_clear: Callable[[Scene], Bool[Array, " M"]],
@@ -53,7 +53,7 @@ def sample_family_problem(
 
     Args:
         key: randomness.
-        family: which.
+        family: a key of `FAMILIES`.
         robot: the arm.
         check_configurations: of a `Checker` for rotated boxes.
         boxes_clear: tells for each box whether the geoms that no joint moves are clear of it.
@@ -65,8 +65,14 @@ def sample_family_problem(
         drawn = _scaled(FAMILIES[family](keys[0]), reach)
         check = functools.partial(check_configurations, drawn.scene)
         clear = jnp.all(boxes_clear(drawn.scene))
-        start, found = _find_tip_in(keys[1], robot, drawn.start, check, clear)
-        goal, found = _find_tip_in(keys[2], robot, drawn.goal, check, found)
+
+        def find_end(wanted, end):
+            q, found = _find_tip_in(*end, robot, check, wanted)
+            return found, q
+
+        # A loop over both ends, so that the collision check is compiled once.
+        regions = jax.tree.map(lambda *x: jnp.stack(x), drawn.start, drawn.goal)
+        found, (start, goal) = jax.lax.scan(find_end, clear, (keys[1:], regions))
         return FamilyProblem(Problem(start, goal, drawn.scene), drawn.start, drawn.goal, found)
 
     def unfinished(state: tuple[jax.Array, FamilyProblem]) -> jax.Array:
@@ -99,7 +105,7 @@ def in_region(region: Region, points: Float[Array, "*batch 3"]) -> Bool[Array, "
 def arm_reach(robot: Robot) -> Reach:
     """Measures a ball that holds the tip, at 4,096 random configurations.
 
-    Its centre is the mean position of the tip: the shoulder, for most arms.
+    Its centre is the mean position of the tip.
     """
     body, point = _tip(robot)
     data = mujoco.MjData(robot.mj_model)
@@ -135,8 +141,8 @@ def _scaled(drawn: FamilyScene, reach: Reach) -> FamilyScene:
 
 def _find_tip_in(
     key: jax.Array,
-    robot: Robot,
     region: Region,
+    robot: Robot,
     check: Callable[[jax.Array], jax.Array],
     wanted: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:

@@ -80,7 +80,7 @@ class LabelledRoadmap(NamedTuple):
 
 
 def generate_labelled(
-    robot: Robot, num_nodes: int, checker: Backend = "fused", family: Family = "paper"
+    robot: Robot, num_nodes: int, checker: Backend = "fused", family: str = "paper"
 ) -> Callable[[jax.Array], Problem | LabelledRoadmap]:
     """Makes the compiled function `keys [P] -> LabelledRoadmap [P]`, or `Problem [P]` for 0 nodes.
 
@@ -126,7 +126,7 @@ def generate_labelled(
 
 
 def _problem_sampler(
-    robot: Robot, checker: Backend, family: Family
+    robot: Robot, checker: Backend, family: str
 ) -> tuple[Callable[[jax.Array], tuple[Problem, jax.Array]], Checker]:
     """`key -> (problem, whether one was found)`, and the checker for the family's scenes."""
     zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
@@ -152,9 +152,7 @@ def _problem_sampler(
     return draw, check
 
 
-def problem_keys(
-    seed: int, split: Split, first: int, num: int, family: Family = "paper"
-) -> jax.Array:
+def problem_keys(seed: int, split: Split, first: int, num: int, family: str = "paper") -> jax.Array:
     """The keys of problems `first` to `first + num` of a split; the size of the set is no part."""
     key = jax.random.fold_in(jax.random.key(seed), _SPLITS[split][0])
     if family != "paper":
