@@ -158,7 +158,8 @@ def summarize_seeds(
         for name in (*SHARES, *QUANTITIES):
             values = table[name][:, chosen]
             counts = np.ones_like(solved) if QUANTITIES.get(name, True) else solved
-            part[name] = statistics(values, counts.astype(bool))
+            # NaN: a planner that has no such quantity.
+            part[name] = statistics(values, counts.astype(bool) & ~np.isnan(values))
         summary[stratum] = part
     return summary
 
