@@ -67,7 +67,8 @@ def sample_family_problem(
         clear = jnp.all(boxes_clear(drawn.scene))
 
         def find_end(wanted, end):
-            q, found = _find_tip_in(*end, robot, check, wanted)
+            end_key, region = end
+            q, found = _find_tip_in(end_key, region, robot, check, wanted)
             return found, q
 
         # A loop over both ends, so that the collision check is compiled once.
