@@ -16,8 +16,8 @@ paths are not.
 """
 
 import dataclasses
-import time
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import jax
@@ -107,13 +107,13 @@ def read(config: CrossoverConfig, robot: str, name: str, path: Path) -> list[Tim
     def one(case: EvaluateConfig, num_nodes: int | None) -> Timed:
         rows = [run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
         key = {"set": name, "planner": case.planner, "num_nodes": num_nodes, "bound": False}
-        table = [
+        time, checks, solved = (
             np.array([[row[quantity] for row in seed] for seed in rows], float)
             for quantity in ("total_time_s", "configuration_checks", "success")
-        ]
+        )
         valid = np.array([row["valid"] for row in rows[0]])
         hard = np.array([row["hard"] for row in rows[0]])
-        return Timed(key, command(case), *table, {"all": valid, "hard": valid & hard})
+        return Timed(key, command(case), time, checks, solved, {"all": valid, "hard": valid & hard})
 
     timed = [one(own_case(path, robot, p, n, num), n) for n in config.num_nodes for p in OWN]
     for planner in RIVALS:
@@ -215,9 +215,9 @@ def measure_checks(robot_name: str, path: Path, batch: int = 16_384) -> dict[str
     def least(check: Any, rows: np.ndarray) -> float:
         taken = []
         for _ in range(6):  # the first compiles
-            begin = time.perf_counter()
+            begin = perf_counter()
             jax.block_until_ready(check(rows))
-            taken.append(time.perf_counter() - begin)
+            taken.append(perf_counter() - begin)
         return min(taken[1:]) / len(rows)
 
     return {

@@ -96,8 +96,10 @@ def saved(summary: dict[str, Any], compared: dict[str, dict[str, Any]]) -> dict[
     shares: dict[str, float | None] = {}
     for quantity, stated in PAPER.items():
         ours, theirs = summary[quantity], compared[stated["than"]][quantity]
-        known = ours is not None and theirs is not None and theirs["mean"] > 0
-        shares[quantity] = 1 - ours["mean"] / theirs["mean"] if known else None
+        if ours is None or theirs is None or not theirs["mean"]:
+            shares[quantity] = None
+        else:
+            shares[quantity] = 1 - ours["mean"] / theirs["mean"]
     return shares
 
 
@@ -127,13 +129,12 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
             base, ours = summaries[than][name], by_name["gnn"]["saved"][name]
             if base is not None and ours is not None:
                 axes.axhline(scale * base["mean"] * (1 - share), color="black", ls=":", lw=1.2)
-                title += f"\ngnn: {100 * ours:.1f} % less than {_THAN[than]}"
-                title += f" (paper: {100 * share:.1f} %)"
+                title += f"\ngnn: {_compared(ours, _THAN[than])} (paper: {100 * share:.1f} % less)"
         axes.set_title(title)
         if logarithmic:
             axes.set_yscale("log")
         elif scale == 100:
-            axes.set_ylim(min(80, axes.get_ylim()[0]), 100)
+            axes.set_ylim(0, 100)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     for axes in figure.axes[1:]:  # a planner that has no edges is in other panels only
         for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -144,6 +145,10 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
         "Means with 95 % intervals; dotted: what the paper's savings would leave of our baseline"
     )
     atomic_write(out, lambda file: figure.savefig(file, dpi=110))
+
+
+def _compared(saved: float, than: str) -> str:
+    return f"{100 * saved:.1f} % less than {than}" if saved > 0 else f"{1 - saved:.1f} times {than}"
 
 
 if __name__ == "__main__":

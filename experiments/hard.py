@@ -63,6 +63,8 @@ class HardConfig(ExperimentConfig):
     """Families of scenes."""
     family_problems: int = 50
     """Problems of each family."""
+    family_planners: tuple[str, ...] = FAMILY_PLANNERS
+    """Planners for the families."""
 
 
 def run(config: HardConfig) -> None:
@@ -75,6 +77,8 @@ def run(config: HardConfig) -> None:
             seeds=config.seeds[:1],
             families=config.families[-1:],
             family_problems=2,
+            # Scenes of their own kind are compiled anew for each planner.
+            family_planners=("distance", "ompl:rrt_connect"),
         )
     robot = config.robot or "kuka_iiwa14"
     rows = save_results(config, "hard", CLAIM, _rows(config, robot))
@@ -86,10 +90,10 @@ def _rows(config: HardConfig, robot: str) -> Iterator[dict[str, Any]]:
         yield from _strata_rows(config, robot, name, path)
     for family in config.families:
         path = problem_set(config, robot, family=family, num_problems=config.family_problems)
-        for planner in FAMILY_PLANNERS:
+        for planner in config.family_planners:
             case = _case(config, path, robot, planner, config.family_problems)
             key = {"set": family, "stratum": family, "planner": planner}
-            yield key | {"num_nodes": case.num_nodes} | measure(case, config.seeds, config.runs)
+            yield key | {"num_nodes": _size(case)} | measure(case, config.seeds, config.runs)
 
 
 def _strata_rows(config: HardConfig, robot: str, name: str, path: Path) -> Iterator[dict[str, Any]]:
@@ -105,7 +109,7 @@ def _strata_rows(config: HardConfig, robot: str, name: str, path: Path) -> Itera
                 "set": name,
                 "stratum": stratum,
                 "planner": planner,
-                "num_nodes": case.num_nodes,
+                "num_nodes": _size(case),
                 "command": command(case),
                 "summary": summarize_seeds(per_seed, keep=lambda index, m=members: bool(m[index])),
             }
@@ -115,6 +119,10 @@ def _case(config: HardConfig, path: Path, robot: str, planner: str, num: int) ->
     if planner.startswith("ompl:"):
         return classical_case(path, robot, planner, num)
     return own_case(path, robot, planner, config.num_nodes, num)
+
+
+def _size(case: EvaluateConfig) -> int | None:
+    return None if case.planner.startswith("ompl:") else case.num_nodes
 
 
 def strata(robot_name: str, path: Path, rows: list[dict]) -> dict[str, np.ndarray]:
