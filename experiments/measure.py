@@ -217,7 +217,9 @@ def save_results(
     head = {"format": FORMAT, "experiment": name, "claim": claim, "machine": describe_machine()}
     for row in rows:
         done.append(row)
-        text = json.dumps({**head, **more, "rows": done}, indent=1, allow_nan=False) + "\n"
+        # A line a row, so that a change shows which rows changed.
+        lines = ",\n".join(json.dumps(each, allow_nan=False) for each in done)
+        text = f'{json.dumps({**head, **more}, allow_nan=False)[:-1]}, "rows": [\n{lines}\n]}}\n'
         atomic_write(
             config.results / f"{name}.json", lambda f, t=text: f.write_text(t, encoding="utf-8")
         )

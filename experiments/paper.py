@@ -5,13 +5,21 @@ words, as its figures have no tables.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from experiments.figure5 import PAPER, PAPER_SHARES
+from experiments.style import label
+from experiments.tables import Row, markdown
 
-Row = dict[str, Any]
+TEMPLATE = Path(__file__).with_name("paper_template.md")
+
+RIVAL_COLUMNS = [
+    *("planner", "N", "solved", "certified", "edge checks"),
+    *("configuration checks, mean", "median", "cost", "total time, median, ms"),
+]
 
 
 class Measured:
@@ -110,7 +118,7 @@ def claims(figure5: Row, figure7: Row) -> list[list[str]]:
 
 
 def rivals(figure5: Row) -> list[list[str]]:
-    """Rows of the table of planners that the paper leaves out, at N = 200 and 1000, hard problems."""
+    """Rows of the table of planners that the paper leaves out, at two sizes, hard problems."""
     seven = Measured(figure5, "test")
     lines = []
     for planner, sizes in (
@@ -181,11 +189,10 @@ def page(results: dict[str, Row]) -> str:
     sizes = sorted({row["num_nodes"] for row in failures["rows"]})
     heads = ("its network and protocol, here", "default network, greedy", "default network, lazy")
     share = failures["grid"]["start_or_goal_in_a_voxel"]
-    return TEXT.format(
+    return TEMPLATE.read_text(encoding="utf-8").format(
         claims=markdown(["claim", "paper", *heads], claims(figure5, figure7)),
         rivals=markdown(
-            ["planner", "N", "solved", "certified", "edge checks", "configuration checks, mean"]
-            + ["median", "cost", "total time, median, ms"],
+            RIVAL_COLUMNS,
             [[label(line[0]), *line[1:]] for line in rivals(figure5)],
         ),
         weaknesses=markdown(
@@ -195,58 +202,3 @@ def page(results: dict[str, Row]) -> str:
         sizes=" / ".join(str(n) for n in sizes),
         voxels=percent(share, 0),
     )
-
-
-TEXT = """# The paper beside this code
-
-*Graph Neural Network Based Method for Path Planning Problem* (Diao, Chi and Wang), claim by claim.
-Numbers are those of `results/`, by `python -m experiments.run_all`; this page is generated. The
-paper's are those it states in words.
-
-## Its claims
-
-Averages over N = 200 to 1000 as in the paper, all of the 300 test problems, unless stated otherwise;
-in R^6, N = 400. The third column is the paper's network (preset `paper`: its losses, optimizer and
-rates) in its Algorithm 1: one roadmap, no second try, no way back.
-
-{claims}
-## Beside the planners that it leaves out
-
-Hard problems of the test set, whose straight line from start to goal is blocked. The greedy walk by
-the distance to the goal is the same search without a network; LazySP finds the shortest path of the
-same roadmap; the oracle knows the exact cost to go.
-
-{rivals}
-## What it says of its failures
-
-The paper describes them without numbers. N = {sizes}, test problems. Start or goal, free in the
-scene, collides with the voxels of the occupancy grid in {voxels} of the problems.
-
-{weaknesses}
-## What differs in the protocol
-
-The paper leaves open, and we chose:
-
-- **Edge resolution.** 0.05 rad between configurations, then a certificate that holds everywhere along
-  the path; the paper names neither. A coarser test makes every planner cheaper and lets paths through
-  that collide.
-- **Radius and degree.** The r-disc radius that gives a mean degree of 2.4 ln N. The paper's radius is
-  not stated; a smaller one leaves more roadmaps without a path, a larger one makes PRM dearer and so
-  the shares of its checks smaller.
-- **Self-collision** counts as collision here, for all planners.
-- **What a check is.** The paper counts collision detections of edges. Configurations tested, those of
-  sampling the roadmap included, are what takes time; a planner that grows a tree pays for few
-  samples, one that begins with a roadmap for all. Both counts are shown.
-- **Collision checker.** PyBullet in the paper, compiled kernels here. A check is some hundred times
-  cheaper, so that planning time says little about checks: see the crossover in
-  [results.md](results.md).
-- **Baselines.** RRT* and BIT* are those of OMPL with its defaults, stopped at the first path, as in the
-  paper; the paper tuned its own. PRM is brute force on the same roadmap, as in the paper; OMPL's,
-  which grows until a path appears, is shown too.
-- **The real arm** is not repeated here. Instead of ten runs on hardware, every path is certified to be
-  free of collisions all along; how it would be followed is left open, as in the paper.
-
-## What we conclude
-
-{conclusions}
-"""

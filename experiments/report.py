@@ -6,18 +6,15 @@ Every number comes from the JSON in `results/`; none is typed by hand.
 """
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import tyro
 
 from experiments import paper
 from experiments.measure import load_results
 from experiments.style import label
+from experiments.tables import DETAIL, Row, both, cell, interval, markdown, planner_table, seconds
 from gnnjax.errors import InputError, atomic_write, run_command
-
-Row = dict[str, Any]
 
 SETS = {"test": "The project's own 300 test problems", "public": "The first 300 public problems"}
 
@@ -32,64 +29,6 @@ class ReportConfig:
     """Where results.md and paper.md go."""
     readme: Path = Path("README.md")
     """Whose tables are replaced."""
-
-
-def cell(part: Row | None, form: str, scale: float = 1.0, key: str = "mean") -> str:
-    """One number of a summary; a dash where there is none."""
-    return "-" if part is None else f"{scale * part[key]:{form}}"
-
-
-def interval(part: Row | None, form: str, scale: float = 1.0) -> str:
-    """A mean with its 95 % interval."""
-    if part is None:
-        return "-"
-    low, high = (f"{scale * part[key]:{form}}" for key in ("low", "high"))
-    return f"{scale * part['mean']:{form}} ({low} to {high})"
-
-
-def both(row: Row, write: Callable[[Row], str]) -> str:
-    """A cell for all problems / the hard ones."""
-    return " / ".join(write(row["summary"][stratum]) for stratum in ("all", "hard"))
-
-
-# Title of a column, and what it holds for a stratum.
-_MAIN: tuple[tuple[str, Callable[[Row], str]], ...] = (
-    ("solved, %", lambda part: cell(part["success"], ".1f", 100)),
-    ("certified, %", lambda part: cell(part["certified"], ".1f", 100)),
-    ("edge checks, mean", lambda part: cell(part["edge_checks"], ".1f")),
-    ("configuration checks, mean", lambda part: cell(part["configuration_checks"], ".0f")),
-    ("median", lambda part: cell(part["configuration_checks"], ".0f", key="median")),
-    ("cost, mean", lambda part: cell(part["cost"], ".2f")),
-    ("planning, ms", lambda part: cell(part["planning_time_s"], ".1f", 1e3, "median")),
-    ("total, ms", lambda part: cell(part["total_time_s"], ".1f", 1e3, "median")),
-)
-
-_DETAIL: tuple[tuple[str, Callable[[Row], str]], ...] = (
-    ("solved, %", lambda part: interval(part["success"], ".1f", 100)),
-    ("with one roadmap, %", lambda part: cell(part["success_first_roadmap"], ".1f", 100)),
-    ("edge checks", lambda part: interval(part["edge_checks"], ".1f")),
-    ("95th percentile", lambda part: cell(part["edge_checks"], ".0f", key="p95")),
-    ("configuration checks", lambda part: interval(part["configuration_checks"], ".0f")),
-    ("of them sampling", lambda part: cell(part["sampling_checks"], ".0f")),
-    ("cost", lambda part: interval(part["cost"], ".2f")),
-)
-
-
-def markdown(head: list[str], lines: list[list[str]]) -> str:
-    """A Markdown table."""
-    rows = [head, ["---"] * len(head), *lines]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
-
-
-def planner_table(rows: list[Row], columns=_MAIN) -> str:
-    """A row a planner and roadmap size, cells for all problems / the hard ones."""
-    ordered = sorted(rows, key=lambda row: row["num_nodes"] or 0)
-    lines = [
-        [str(row["num_nodes"] or "-"), label(row["planner"])]
-        + [both(row, write) for _, write in columns]
-        for row in ordered
-    ]
-    return markdown(["N", "planner", *[title for title, _ in columns]], lines)
 
 
 def measured_on(results: Row, row: Row) -> str:
@@ -177,18 +116,6 @@ def crossover_table(results: Row) -> str:
     return markdown(head, lines)
 
 
-def seconds(value: float | None) -> str:
-    """A price in a readable unit."""
-    if value is None:
-        return "never"
-    if value <= 1.0001e-8:
-        return "always"
-    for unit, scale in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        if value >= scale:
-            return f"{value / scale:.2g} {unit}"
-    return f"{value:.2g} s"
-
-
 def strata_table(rows: list[Row]) -> str:
     """Success and configuration checks, a row a stratum and a column a planner."""
     planners = list(dict.fromkeys(row["planner"] for row in rows))
@@ -230,8 +157,10 @@ def failures_table(results: Row) -> str:
 
 def ablation_table(results: Row) -> str:
     """What each variant of the network does, one roadmap, no second try."""
-    lines = [[row["variant"]] + [both(row, write) for _, write in _DETAIL] for row in results["rows"]]
-    return markdown(["variant", *[title for title, _ in _DETAIL]], lines)
+    lines = [
+        [row["variant"]] + [both(row, write) for _, write in DETAIL] for row in results["rows"]
+    ]
+    return markdown(["variant", *[title for title, _ in DETAIL]], lines)
 
 
 def results_page(results: dict[str, Row]) -> str:
@@ -266,7 +195,7 @@ def results_page(results: dict[str, Row]) -> str:
         chosen = [row for row in figure5["rows"] if row["set"] == name]
         if chosen:
             tables += [f"### {title}\n", measured_on(figure5, chosen[0]) + "\n"]
-            tables.append(planner_table(chosen, _DETAIL))
+            tables.append(planner_table(chosen, DETAIL))
     section("figure5", "Seven joints, over roadmap sizes", *tables)
     if any(row["set"] == "public" for row in figure5["rows"]):
         parts += ["### RRT-Connect beside an earlier measurement\n", rrt_connect_table(figure5)]
@@ -275,7 +204,7 @@ def results_page(results: dict[str, Row]) -> str:
         "figure7",
         "Six joints",
         measured_on(figure7, figure7["rows"][0]) + "\n",
-        planner_table(figure7["rows"], _DETAIL),
+        planner_table(figure7["rows"], DETAIL),
     )
     section("crossover", "When a guide pays", crossover_table(results["crossover"]))
     strata = []

@@ -60,11 +60,12 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
             # are four times faster than positions that go through memory.
             fresh, nearest = jax.lax.optimization_barrier((joints, nearest))
             frames = body_frames(robot, fresh)
-            box = [x[order[i]] for x in (scene.centers, scene.half_extents, turned)]
-            return [
-                _nearer(*near, *box, transform(*frames[robot.geom_bodies[g]], center))
-                for g, center, near in zip(points, centers, nearest, strict=True)
-            ]
+            box = scene.centers[order[i]], scene.half_extents[order[i]], turned[order[i]]
+            nearer_now = []
+            for g, center, near in zip(points, centers, nearest, strict=True):
+                position, rotation = frames[robot.geom_bodies[g]]
+                nearer_now.append(_nearer(near, box, transform(position, rotation, center)))
+            return nearer_now
 
         far = jnp.full(q.shape[:1], _NOTHING_NEAR, q.dtype)
         start = [(jnp.square(far), jnp.zeros_like(far))] * len(points)
@@ -76,17 +77,20 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
 
 
 def _nearer(
-    squared: jax.Array,
-    depth: jax.Array,
-    center: jax.Array,
-    half_extents: jax.Array,
-    turned: jax.Array,
+    nearest: tuple[jax.Array, jax.Array],
+    box: tuple[jax.Array, jax.Array, jax.Array],
     point: Vector,
 ) -> tuple[jax.Array, jax.Array]:
     """Squared distance to the nearest box, and minus the depth in the deepest, with one box more.
 
     Comparisons are written as `where`, as in `geometry.py`.
+
+    Args:
+        nearest: both, for the boxes before.
+        box: centre [3], half extents [3] and rotation from the world [3 3].
+        point: of the arm, three arrays.
     """
+    (squared, depth), (center, half_extents, turned) = nearest, box
     offset = subtract(point, list(center))
     beyond = [jnp.abs(dot(list(turned[r]), offset)) - half_extents[r] for r in range(3)]
     outside = [jnp.where(b > 0.0, b, 0.0) for b in beyond]

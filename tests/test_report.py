@@ -5,7 +5,8 @@ import json
 import pytest
 
 from experiments.measure import load_results
-from experiments.report import ReportConfig, markdown, replace_section, seconds, texts
+from experiments.report import ReportConfig, replace_section, texts
+from experiments.tables import markdown, seconds
 from gnnjax.errors import InputError
 
 

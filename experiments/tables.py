@@ -1,0 +1,78 @@
+"""Markdown tables of summaries (`experiments.measure.summarize_seeds`)."""
+
+from collections.abc import Callable
+from typing import Any
+
+from experiments.style import label
+
+Row = dict[str, Any]
+
+
+def cell(part: Row | None, form: str, scale: float = 1.0, key: str = "mean") -> str:
+    """One number of a summary; a dash where there is none."""
+    return "-" if part is None else f"{scale * part[key]:{form}}"
+
+
+def interval(part: Row | None, form: str, scale: float = 1.0) -> str:
+    """A mean with its 95 % interval."""
+    if part is None:
+        return "-"
+    low, high = (f"{scale * part[key]:{form}}" for key in ("low", "high"))
+    return f"{scale * part['mean']:{form}} ({low} to {high})"
+
+
+def both(row: Row, write: Callable[[Row], str]) -> str:
+    """A cell for all problems / the hard ones."""
+    return " / ".join(write(row["summary"][stratum]) for stratum in ("all", "hard"))
+
+
+# Title of a column, and what it holds for a stratum.
+MAIN: tuple[tuple[str, Callable[[Row], str]], ...] = (
+    ("solved, %", lambda part: cell(part["success"], ".1f", 100)),
+    ("certified, %", lambda part: cell(part["certified"], ".1f", 100)),
+    ("edge checks, mean", lambda part: cell(part["edge_checks"], ".1f")),
+    ("configuration checks, mean", lambda part: cell(part["configuration_checks"], ".0f")),
+    ("median", lambda part: cell(part["configuration_checks"], ".0f", key="median")),
+    ("cost, mean", lambda part: cell(part["cost"], ".2f")),
+    ("planning, ms", lambda part: cell(part["planning_time_s"], ".1f", 1e3, "median")),
+    ("total, ms", lambda part: cell(part["total_time_s"], ".1f", 1e3, "median")),
+)
+
+DETAIL: tuple[tuple[str, Callable[[Row], str]], ...] = (
+    ("solved, %", lambda part: interval(part["success"], ".1f", 100)),
+    ("with one roadmap, %", lambda part: cell(part["success_first_roadmap"], ".1f", 100)),
+    ("edge checks", lambda part: interval(part["edge_checks"], ".1f")),
+    ("95th percentile", lambda part: cell(part["edge_checks"], ".0f", key="p95")),
+    ("configuration checks", lambda part: interval(part["configuration_checks"], ".0f")),
+    ("of them sampling", lambda part: cell(part["sampling_checks"], ".0f")),
+    ("cost", lambda part: interval(part["cost"], ".2f")),
+)
+
+
+def markdown(head: list[str], lines: list[list[str]]) -> str:
+    """A Markdown table."""
+    rows = [head, ["---"] * len(head), *lines]
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows) + "\n"
+
+
+def planner_table(rows: list[Row], columns=MAIN) -> str:
+    """A row a planner and roadmap size, cells for all problems / the hard ones."""
+    ordered = sorted(rows, key=lambda row: row["num_nodes"] or 0)
+    lines = [
+        [str(row["num_nodes"] or "-"), label(row["planner"])]
+        + [both(row, write) for _, write in columns]
+        for row in ordered
+    ]
+    return markdown(["N", "planner", *[title for title, _ in columns]], lines)
+
+
+def seconds(value: float | None) -> str:
+    """A price in a readable unit."""
+    if value is None:
+        return "never"
+    if value <= 1.0001e-8:
+        return "always"
+    for unit, scale in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if value >= scale:
+            return f"{value / scale:.2g} {unit}"
+    return f"{value:.2g} s"
