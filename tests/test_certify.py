@@ -91,3 +91,18 @@ def test_a_path_of_one_configuration_is_certified_by_its_clearance(robots):
     scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
     assert not certify_path(robots["tiny"], scene, np.zeros((1, 3)))
     assert certify_path(robots["tiny"], scene, np.array([[2.0, 0.0, 0.0]]))
+
+
+def test_a_slide_joint_reaches_as_far_as_it_is_from_its_reference(tmp_path):
+    # It travels 0.1 m, but carries the ball around a circle of 1 m.
+    path = tmp_path / "crane.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body>'
+        '<joint axis="0 0 1" range="-3 3"/><joint type="slide" axis="1 0 0" range="0.9 1"/>'
+        '<geom type="sphere" size="0.05" mass="1"/></body></worldbody></mujoco>'
+    )
+    scene = make_scene([[0.94, 0.14, 0.0]], [[0.02, 0.02, 0.02]])
+    edge = np.array([[-0.2, 0.95], [0.2, 0.95]])
+    robot = load_robot(path)
+    assert collides_anywhere(robot, scene, edge)
+    assert not certify_path(robot, scene, edge)
