@@ -17,7 +17,7 @@ from gnnjax.certify import certify_edges, configuration_clearance
 from gnnjax.checkpoint import load_network, shipped_weights
 from gnnjax.collision import Backend, EdgeChecks, boxes_clear, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_seed
 from gnnjax.labels import cost_to_go, edge_validity, next_slots
 from gnnjax.model import GuidanceNetwork
 from gnnjax.problem import Problem
@@ -166,7 +166,7 @@ class Planner:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of the roadmaps; the same for each problem.
         """
-        num = len(problems.start)
+        num, seed = len(problems.start), check_seed(seed)
         build, search_weighted, _ = self._functions(
             is_axis_aligned(problems.scene), problems.scene.mask.shape[-1]
         )
@@ -241,7 +241,8 @@ class Planner:
         ends = []
         for name, q in (("start", start), ("goal", goal)):
             try:
-                q = np.asarray(q, dtype=np.float32)
+                with np.errstate(over="ignore"):  # infinite in float32, and refused as such
+                    q = np.asarray(q, dtype=np.float32)
             except (TypeError, ValueError):
                 raise InputError(f"{name} {q!r} is not a list of numbers") from None
             if q.shape != (robot.num_dof,):
