@@ -8,7 +8,7 @@ import functools
 
 import numpy as np
 
-from gnnjax.robot import CAPSULE, SPHERE, Robot
+from gnnjax.robot import CAPSULE, Joint, Robot, require_round_geoms
 from gnnjax.scene import Scene
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
@@ -134,11 +134,10 @@ class _Spheres:
     """The robot as spheres, with bounds on how far each can move."""
 
     def __init__(self, robot: Robot):
+        require_round_geoms(robot)
         self.robot = robot
         owner, bodies, centers, radii = [], [], [], []
         for g in range(len(robot.geom_radii)):
-            if robot.geom_types[g] not in (SPHERE, CAPSULE):
-                raise NotImplementedError("only spheres and capsules can be certified")
             radius, steps = robot.geom_radii[g], np.zeros(1)
             if robot.geom_types[g] == CAPSULE:
                 length = 2 * np.linalg.norm(robot.geom_axes[g])
@@ -197,18 +196,21 @@ class _Spheres:
                 if several:
                     radial += sum(
                         2 * np.linalg.norm(other.anchor - joint.anchor)
-                        + (0 if other.hinge else np.ptp(self.robot.mj_model.jnt_range[other.index]))
+                        + (0 if other.hinge else self._travel(other))
                         for other in link.joints
                     )
                 reach[joint.index] = radial + beyond
             beyond += np.linalg.norm(offset)
             for joint in link.joints:
-                model = self.robot.mj_model
-                travel = model.jnt_range[joint.index] - model.qpos0[joint.index]
-                slides = not joint.hinge
-                beyond += np.abs(travel).max() if slides else 2 * np.linalg.norm(joint.anchor)
+                turned = 2 * np.linalg.norm(joint.anchor)
+                beyond += turned if joint.hinge else self._travel(joint)
             offset, body = link.position, link.parent
         return reach
+
+    def _travel(self, joint: Joint) -> float:
+        """How far a slide joint can take its body from where the MJCF places it, m."""
+        model = self.robot.mj_model
+        return float(np.abs(model.jnt_range[joint.index] - model.qpos0[joint.index]).max())
 
     def clearance_and_need(
         self, boxes: _Boxes, q: np.ndarray, half: np.ndarray

@@ -29,7 +29,7 @@ from gnnjax.kinematics import (
     subtract,
     transform,
 )
-from gnnjax.robot import CAPSULE, SPHERE, Robot
+from gnnjax.robot import CAPSULE, Robot, require_round_geoms
 from gnnjax.scene import Scene, rotation_matrices
 
 Backend: TypeAlias = Literal["fused", "mjx"]
@@ -195,7 +195,11 @@ def boxes_clear(
         scene: M boxes.
         q: the arm's configuration.
         base_only: test only the geoms that no joint moves, which `Checker` leaves out.
+
+    Raises:
+        InputError: the arm has geoms other than spheres and capsules.
     """
+    require_round_geoms(robot)
     moved = moved_by_joint(robot)
     chosen = [g for g in range(len(moved)) if not (base_only and moved[g])]
     if not chosen:
@@ -242,14 +246,7 @@ def _segments(
 
 
 def _fused(robot: Robot, axis_aligned: bool):
-    types = set(robot.geom_types.tolist())
-    if not types <= {SPHERE, CAPSULE}:
-        bad = robot.geom_ids[[t not in (SPHERE, CAPSULE) for t in robot.geom_types]][0]
-        name = robot.mj_model.geom(bad).name or f"number {bad}"
-        raise InputError(
-            f"collision geom {name} of {robot.name} is neither sphere nor capsule; cover it with "
-            "spheres (experiments/fit_collision.py does) or use the mjx checker"
-        )
+    require_round_geoms(robot)
     radii = robot.geom_radii.tolist()
     moving = np.flatnonzero(moved_by_joint(robot)).tolist()
     # A capsule takes about as much code as eight spheres.

@@ -20,7 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from gnnjax.collision import Backend, Checker, boxes_clear, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
-from gnnjax.errors import InputError, run_command
+from gnnjax.errors import InputError, check_seed, check_target, run_command
 from gnnjax.families import FAMILIES, FamilyName
 from gnnjax.family_problem import sample_family_problem
 from gnnjax.labels import Labels, edge_validity, label_roadmap
@@ -28,7 +28,9 @@ from gnnjax.problem import (
     MANIFEST,
     Problem,
     ProblemSet,
+    check_origin,
     load_problems,
+    origin,
     read_manifest,
     sample_problem,
     save_problems,
@@ -223,9 +225,11 @@ def generate(config: GenerateConfig) -> Path:
     default = Path("data") / f"{robot.name}_{family}{config.split}{ending}"
     out = default if config.out is None else config.out
     one_file = out.suffix == ".npz"
+    check_seed(config.seed)
     if one_file and out.exists():
         raise InputError(f"{str(out)!r} exists; remove it, or choose another --out")
     folder = out.with_suffix(".parts") if one_file else out
+    check_target(folder / MANIFEST)
     settings = {
         "split": config.split,
         "family": config.family,
@@ -247,7 +251,20 @@ def _draw_shards(robot: Robot, folder: Path, num: int, settings: dict[str, Any],
     size = settings["shard_size"]
     done = {}
     if (folder / MANIFEST).exists():
+        check_origin(folder, read_manifest(folder), origin(robot.name, seed, settings))
         done = {shard["file"]: shard["problems"] for shard in read_manifest(folder)["shards"]}
+        if sum(done.values()) > num:
+            raise InputError(
+                f"{str(folder)!r} holds {sum(done.values())} problems, more than {num}; "
+                "write to an empty folder"
+            )
+    elif folder.exists():
+        # What is not ours would be mixed with the set, and removed with the parts of one file.
+        others = [p.name for p in folder.iterdir() if not p.name.lstrip(".").startswith("shard_")]
+        if others:
+            raise InputError(
+                f"{str(folder)!r} holds {others[0]!r} and no problem set; write to an empty folder"
+            )
     family = settings["family"]
     draw = generate_labelled(robot, settings["num_nodes"], settings["checker"], family)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()

@@ -7,8 +7,8 @@ import numpy as np
 import tyro
 
 from gnnjax.collision import Backend
-from gnnjax.errors import InputError, atomic_write, run_command
-from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Method, load_planner
+from gnnjax.errors import InputError, atomic_write, check_target, run_command
+from gnnjax.planner import DEFAULT_MAX_ROADMAPS, load_planner
 from gnnjax.scene import scene_from_json
 
 
@@ -28,8 +28,8 @@ class PlanConfig:
     """Where the path goes: arrays path [L, D], scene boxes and counts."""
     image: Path | None = None
     """Where a picture of the path goes (needs the viz extra)."""
-    planner: Method = "gnn"
-    """How the roadmap is searched."""
+    planner: str = "gnn"
+    """How the roadmap is searched: gnn, gnn_lazy, distance, oracle, prm or lazysp."""
     num_nodes: int = 200
     """Nodes of a roadmap."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
@@ -44,6 +44,8 @@ class PlanConfig:
 
 def main(config: PlanConfig) -> int:
     """Plans, prints a summary and writes the files; returns 1 where there is no path."""
+    # All that can be refused is refused before planning, which may take a minute.
+    check_target(config.out)
     scene = scene_from_json(config.scene)
     planner = load_planner(
         config.robot,
@@ -54,17 +56,19 @@ def main(config: PlanConfig) -> int:
         checker=config.checker,
     )
     draw = None
-    if config.image is not None:  # before planning: a missing extra should not cost the plan
+    if config.image is not None:
         try:
+            from gnnjax.plot import check_picture
             from gnnjax.plot import draw_plan as draw
         except ImportError as error:
             raise InputError(
                 f"--image needs the viz extra ({error}); pip install 'gnnjax[viz]'"
             ) from None
+        check_picture(config.image)
     print("compiling and planning (the first run takes up to a minute, later ones seconds) ...")
     plan = planner.plan(scene, np.array(config.start), np.array(config.goal), seed=config.seed)
     if not plan.success:
-        print(f"no path: {plan.reason}")
+        print(plan.reason)
         return 1
     print(
         f"path of {len(plan.path)} configurations, cost {plan.cost:.3f} rad, certified free; "

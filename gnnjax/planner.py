@@ -17,7 +17,7 @@ from gnnjax.certify import certify_edges
 from gnnjax.checkpoint import default_weights, load_network
 from gnnjax.collision import EDGE_RESOLUTION, Backend, EdgeChecks, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_seed
 from gnnjax.labels import cost_to_go, edge_validity, next_slots
 from gnnjax.model import GuidanceNetwork
 from gnnjax.problem import Problem
@@ -168,7 +168,7 @@ class Planner:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of the roadmaps; the same for each problem.
         """
-        num = len(problems.start)
+        num, seed = len(problems.start), check_seed(seed)
         build, search_weighted = self._functions(
             is_axis_aligned(problems.scene), problems.scene.mask.shape[-1]
         )

@@ -5,10 +5,11 @@ from pathlib import Path
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from gnnjax.errors import atomic_write
+from gnnjax.errors import InputError, atomic_write, check_target
 from gnnjax.kinematics import forward_kinematics
 from gnnjax.robot import Robot
 from gnnjax.scene import Scene, rotation_matrices
@@ -27,6 +28,7 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
         path: `[L, D]` configurations.
         out: picture file; its ending chooses the format.
     """
+    check_picture(out)
     figure = Figure(figsize=(9, 4.4), layout="constrained")
     shots = _along(path, 7)
     positions, rotations = (np.asarray(x) for x in forward_kinematics(robot, jnp.asarray(shots)))
@@ -63,6 +65,17 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
         "dotted: the last link"
     )
     atomic_write(out, lambda file: figure.savefig(file, dpi=130))
+
+
+def check_picture(out: str | Path) -> None:
+    """Refuses a picture file that `draw_plan` could not write.
+
+    Raises:
+        InputError: a folder, or an ending that names no format.
+    """
+    known = sorted(FigureCanvasBase.get_supported_filetypes())
+    if check_target(out).suffix.lower().removeprefix(".") not in known:
+        raise InputError(f"picture {str(out)!r} has no known ending; there are {known}")
 
 
 def _draw_boxes(axes, scene: Scene) -> None:

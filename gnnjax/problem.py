@@ -140,28 +140,42 @@ def save_shard(
         InputError: the folder holds a set of another robot, seed, settings or code version.
     """
     folder, file = Path(folder), f"shard_{index:05d}.npz"
-    origin = {
-        "robot": problem_set.robot,
+    ours = origin(problem_set.robot, seed, settings)
+    shards: list[dict[str, Any]] = []
+    if (folder / MANIFEST).exists():
+        manifest = read_manifest(folder)
+        check_origin(folder, manifest, ours)
+        shards = [shard for shard in manifest["shards"] if shard["file"] != file]
+    save_problems(folder / file, problem_set)
+    shards.append({"file": file, "problems": len(problem_set), "sha256": _sha256(folder / file)})
+    shards.sort(key=lambda shard: shard["file"])
+    text = json.dumps({**ours, "shards": shards}, indent=1) + "\n"
+    atomic_write(folder / MANIFEST, lambda out: out.write_text(text, encoding="utf-8"))
+
+
+def origin(robot: str, seed: int, settings: dict[str, Any]) -> dict[str, Any]:
+    """What all shards of a set have in common, as its manifest says it."""
+    return {
+        "robot": robot,
         "seed": seed,
         # As it will be read back: tuples become lists.
         "settings": json.loads(json.dumps(settings)),
         "code_version": _code_version(),
     }
-    shards: list[dict[str, Any]] = []
-    if (folder / MANIFEST).exists():
-        manifest = read_manifest(folder)
-        for name, value in origin.items():
-            if manifest.get(name) != value:
-                raise InputError(
-                    f"{str(folder)!r} was generated with {name} {manifest.get(name)!r}, not "
-                    f"{value!r}; write to an empty folder"
-                )
-        shards = [shard for shard in manifest["shards"] if shard["file"] != file]
-    save_problems(folder / file, problem_set)
-    shards.append({"file": file, "problems": len(problem_set), "sha256": _sha256(folder / file)})
-    shards.sort(key=lambda shard: shard["file"])
-    text = json.dumps({**origin, "shards": shards}, indent=1) + "\n"
-    atomic_write(folder / MANIFEST, lambda out: out.write_text(text, encoding="utf-8"))
+
+
+def check_origin(folder: str | Path, manifest: dict[str, Any], ours: dict[str, Any]) -> None:
+    """Refuses to go on with a set that was generated otherwise.
+
+    Raises:
+        InputError: another robot, seed, settings or code version.
+    """
+    for name, value in ours.items():
+        if manifest.get(name) != value:
+            raise InputError(
+                f"{str(folder)!r} was generated with {name} {manifest.get(name)!r}, not "
+                f"{value!r}; write to an empty folder"
+            )
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:
@@ -178,6 +192,7 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     shards = manifest.get("shards") if isinstance(manifest, dict) else None
     well_formed = isinstance(shards, list) and all(
         isinstance(shard, dict)
+        and isinstance(shard.get("problems"), int)
         and isinstance(shard.get("sha256"), str)
         and isinstance(shard.get("file"), str)
         and shard["file"] == Path(shard["file"]).name  # inside the folder
@@ -256,7 +271,8 @@ def _load_file(path: Path, robot: Robot) -> ProblemSet:
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     name = None
     try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+        # Not np.load, which takes any other file for a pickle and advises to trust it.
+        with open(path, "rb") as stream, np.lib.npyio.NpzFile(stream) as file:
             arrays = {}
             for name in file.files:
                 arrays[name] = file[name]

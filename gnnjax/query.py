@@ -50,7 +50,8 @@ def check_query(
     ends = []
     for name, q in (("start", start), ("goal", goal)):
         try:
-            q = np.asarray(q, dtype=np.float32)
+            with np.errstate(over="ignore"):  # infinite in float32, and refused as such
+                q = np.asarray(q, dtype=np.float32)
         except (TypeError, ValueError):
             raise InputError(f"{name} {q!r} is not a list of numbers") from None
         if q.shape != (robot.num_dof,):

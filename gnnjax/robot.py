@@ -194,6 +194,21 @@ def _body(model: mujoco.MjModel, b: int) -> Body:
     )
 
 
+def require_round_geoms(robot: Robot) -> None:
+    """Refuses an arm that collides as anything but spheres and capsules.
+
+    Raises:
+        InputError: names the first geom that is neither.
+    """
+    for g, kind in zip(robot.geom_ids, robot.geom_types, strict=True):
+        if kind not in (SPHERE, CAPSULE):
+            name = robot.mj_model.geom(g).name or f"number {g}"
+            raise InputError(
+                f"collision geom {name} of {robot.name} is neither sphere nor capsule; cover it "
+                "with spheres (experiments/fit_collision.py does)"
+            )
+
+
 def _quat_to_matrix(quat: np.ndarray) -> np.ndarray:
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quat)

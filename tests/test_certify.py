@@ -109,3 +109,18 @@ def test_the_clearance_of_a_path_is_the_least_along_it(robots):
     # No point of the arm, 1 m long, moves by more than 0.03 m to the next sample.
     assert least - 1e-6 <= path_clearance(robot, scene, path, 0.02) <= least + 0.03
     assert path_clearance(robot, scene, path, 0.001) == pytest.approx(least, abs=2e-3)
+
+
+def test_a_slide_joint_reaches_as_far_as_it_is_from_its_reference(tmp_path):
+    # It travels 0.1 m, but carries the ball around a circle of 1 m.
+    path = tmp_path / "crane.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body>'
+        '<joint axis="0 0 1" range="-3 3"/><joint type="slide" axis="1 0 0" range="0.9 1"/>'
+        '<geom type="sphere" size="0.05" mass="1"/></body></worldbody></mujoco>'
+    )
+    scene = make_scene([[0.94, 0.14, 0.0]], [[0.02, 0.02, 0.02]])
+    edge = np.array([[-0.2, 0.95], [0.2, 0.95]])
+    robot = load_robot(path)
+    assert collides_anywhere(robot, scene, edge)
+    assert not certify_path(robot, scene, edge)

@@ -123,6 +123,10 @@ def test_problems_without_labels_cannot_be_trained_on(tiny_path, tmp_path):
         ({"num_problems": 0}, "num_problems is 0"),
         ({"seed": 7}, "was generated with seed 0, not 7"),
         ({"num_nodes": 30}, "was generated with settings"),
+        # Nothing is left to draw, and still it is not the set that was asked for.
+        ({"num_problems": 5, "seed": 7}, "was generated with seed 0, not 7"),
+        ({"num_problems": 3}, "holds 5 problems, more than 3"),
+        ({"seed": -1}, "seed is -1; choose 0 to"),
     ],
 )
 def test_bad_settings_are_refused(labelled, change, message):
@@ -130,3 +134,18 @@ def test_bad_settings_are_refused(labelled, change, message):
     with pytest.raises(InputError, match=message):
         generate(GenerateConfig(robot=labelled.robot, out=labelled.out, **settings))
     assert len(load_problems(labelled.out, load_robot(labelled.robot))) == 5
+
+
+def test_a_folder_of_other_things_is_left_alone(tiny_path, tmp_path):
+    (tmp_path / "p.parts").mkdir()
+    (tmp_path / "p.parts" / "notes.txt").write_text("kept")
+    (tmp_path / "file").write_text("kept")
+    for out, message in (
+        (tmp_path / "p.npz", r"holds 'notes.txt' and no problem set"),
+        (tmp_path / "file", "is a file; name a folder"),
+        (tmp_path / "file" / "p.npz", "is a file; name a folder"),
+    ):
+        with pytest.raises(InputError, match=message):
+            generate(GenerateConfig(robot=str(tiny_path), num_problems=1, num_nodes=0, out=out))
+    assert (tmp_path / "p.parts" / "notes.txt").read_text() == "kept"
+    assert (tmp_path / "file").read_text() == "kept"

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -12,6 +13,8 @@ from flax import nnx
 from gnnjax.certify import certify_path, configuration_clearance
 from gnnjax.errors import InputError
 from gnnjax.model import GuidanceNetwork
+from gnnjax.plan import PlanConfig
+from gnnjax.plan import main as plan_once
 from gnnjax.planner import Planner, load_planner
 from gnnjax.robot import load_robot
 from gnnjax.scene import make_scene
@@ -61,6 +64,7 @@ def test_the_same_seed_gives_the_same_plan(tiny_path):
         ([0.0, 0.0], r"start has shape \(2,\); tiny needs 3 joint values"),
         ([0.0, float("nan"), 0.0], "start has nan for joint 2; it must lie between"),
         ([9.0, 0.0, 0.0], "start has 9 for joint 1; it must lie between -3 and 3"),
+        ([1e300, 0.0, 0.0], "start has inf for joint 1"),
         (["a", 0.0, 0.0], "is not a list of numbers"),
         ([0.0, 0.0, 0.0], "start .* is in collision"),
     ],
@@ -126,6 +130,42 @@ def test_the_command_says_in_one_line_what_is_wrong(tiny_path, tmp_path):
     assert done.stderr.startswith("error: box 0 of 'scene.json' has half_extents")
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "path.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"out": "."}, r"'\.' is a folder; name a file"),
+        ({"out": "scene.json/path.npz"}, r"'scene.json' is a file; name a folder"),
+        ({"image": "plan.xyz"}, r"picture 'plan.xyz' has no known ending; there are \["),
+        ({"image": "plan"}, "picture 'plan' has no known ending"),
+        ({"planner": "magic"}, "no planner 'magic'; there are"),
+        ({"scene": "missing.json"}, "no scene file 'missing.json'"),
+        ({"seed": -1}, "seed is -1"),
+    ],
+)
+def test_what_can_be_refused_is_refused_before_planning(
+    tiny_path, tmp_path, monkeypatch, change, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.json").write_text('{"boxes": []}')
+    settings = {"scene": "scene.json", "robot": str(tiny_path), "planner": "lazysp", **change}
+    paths = {n: Path(v) for n, v in settings.items() if n in ("scene", "out", "image")}
+    with pytest.raises(InputError, match=message):
+        plan_once(PlanConfig(start=(0.0, 0.0, 0.0), goal=(1.0, 0.0, 0.0), **{**settings, **paths}))
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.json"]
+
+
+def test_an_arm_of_other_geoms_is_refused(tmp_path):
+    path = tmp_path / "brick.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint range="-1 1" limited="true"/>'
+        '<geom name="brick" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>'
+    )
+    for checker in ("fused", "mjx"):
+        planner = Planner(load_robot(path), checker=checker)
+        with pytest.raises(InputError, match="geom brick of brick is neither sphere nor capsule"):
+            planner.plan(make_scene([], []), [0.0], [1.0])
 
 
 def test_an_arm_of_six_joints_plans_with_the_network_for_seven():
