@@ -24,11 +24,19 @@ import tyro
 from matplotlib.figure import Figure
 
 from experiments.cases import own_case
-from experiments.measure import ExperimentConfig, problem_set, run_seed, save_results, statistics
+from experiments.measure import (
+    ExperimentConfig,
+    command,
+    problem_set,
+    run_seed,
+    save_results,
+    statistics,
+)
 from experiments.style import COLORS, label
 from gnnjax.checkpoint import load_network
 from gnnjax.collision import make_checker
 from gnnjax.errors import atomic_write, run_command
+from gnnjax.evaluate import EvaluateConfig
 from gnnjax.occupancy import occupancy_grid
 from gnnjax.problem import load_problems
 from gnnjax.robot import load_robot
@@ -68,14 +76,15 @@ def _rows(
 ) -> Iterator[dict[str, Any]]:
     for num_nodes in config.num_nodes:
 
-        def rows_of(planner: str, num_nodes: int = num_nodes) -> list[list[dict]]:
-            case = own_case(path, robot, planner, num_nodes, config.num_problems)
+        def rows_of(case: EvaluateConfig) -> list[list[dict]]:
             return [run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
 
-        optimal = rows_of("prm")
+        optimal = rows_of(own_case(path, robot, "prm", num_nodes, config.num_problems))
         for planner in PLANNERS:
-            measured = failures(rows_of(planner), optimal, touches)
-            yield {"planner": planner, "num_nodes": num_nodes, **measured}
+            case = own_case(path, robot, planner, num_nodes, config.num_problems)
+            measured = failures(rows_of(case), optimal, touches)
+            key = {"planner": planner, "num_nodes": num_nodes, "command": command(case)}
+            yield key | measured
 
 
 def failures(

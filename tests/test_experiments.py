@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from experiments import crossover, figure5, figure7, hard, measure
+from experiments import crossover, failures, figure5, figure7, hard, measure
 from experiments.cases import CLASSICAL
 from experiments.crossover import FINE, RIVALS, Timed, faster, total_times, without_overhead
 from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
@@ -20,6 +20,7 @@ EXPERIMENTS = {
     "figure7": (figure7.Figure7Config, figure7.run),
     "crossover": (crossover.CrossoverConfig, crossover.run),
     "hard": (hard.HardConfig, hard.run),
+    "failures": (failures.FailuresConfig, failures.run),
 }
 
 
@@ -57,6 +58,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(
         "figure7": own | set(CLASSICAL) | {"gnn_own", "gnn_lazy_own"},
         "crossover": {*crossover.OWN, *RIVALS},
         "hard": set(hard.PLANNERS),
+        "failures": set(failures.PLANNERS),
     }
     for name, planners in expected.items():
         config, results = quick(name, tiny_path, folder)
@@ -217,3 +219,33 @@ def test_strata_split_by_upper_ends():
     found = hard._between(np.array([2, 3, 4, 9, np.nan]), {"few": 3, "many": np.inf})
     assert found["few"].tolist() == [True, True, False, False, False]
     assert found["many"].tolist() == [False, False, True, True, False]
+
+
+def test_reversals_are_turns_of_more_than_a_right_angle():
+    path = np.array([[0, 0], [1, 0], [1, 1], [0.5, 0.2], [0, 0]])
+    assert failures.reversals(path) == 1
+    assert failures.reversals(path[:2]) == failures.reversals(np.zeros((0, 2))) == 0
+
+
+def test_failures_are_those_of_the_rows():
+    def row(success, cost, roadmaps=1, path=((0.0,), (1.0,))):
+        path = list(path) if success else []
+        return {
+            "valid": True,
+            "success": success,
+            "cost": cost,
+            "roadmaps": roadmaps,
+            "path": path,
+        }
+
+    optimal = [[row(True, 2.0), row(True, 2.0), row(False, None, 8), row(True, 1.0)]]
+    back_and_forth = ((0.0,), (2.0,), (1.0,))
+    found = [[row(True, 3.0, 1, back_and_forth), row(True, 2.0, 2), row(False, None, 8)]]
+    found[0].append(row(True, 1.0))
+    measured = failures.failures(found, optimal, np.array([True, False, False, True]))
+    # The second was solved on its second roadmap: a dead end on the first.
+    assert measured["dead_ends"]["mean"] == pytest.approx(1 / 3)
+    assert measured["cost_ratio"]["mean"] == pytest.approx((1.5 + 1.0) / 2)
+    assert measured["swinging"]["mean"] == measured["reversals"]["mean"] == pytest.approx(1 / 2)
+    assert measured["failure_end_in_voxel"]["mean"] == 0
+    assert measured["failure_ends_clear_of_voxels"]["mean"] == 1
