@@ -9,8 +9,8 @@ import pytest
 
 from experiments import crossover, failures, figure5, figure7, hard, measure
 from experiments.cases import CLASSICAL
-from experiments.crossover import FINE, RIVALS, Timed, faster, total_times, without_overhead
 from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
+from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
 from gnnjax.errors import InputError
 from gnnjax.evaluate import evaluate
 from gnnjax.planner import Method
@@ -56,7 +56,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(
     expected = {
         "figure5": own | set(CLASSICAL) | {"ompl:rrt_connect@0.02"},
         "figure7": own | set(CLASSICAL) | {"gnn_own", "gnn_lazy_own"},
-        "crossover": {*crossover.OWN, *RIVALS},
+        "crossover": {*crossover.OWN, *crossover.RIVALS},
         "hard": set(hard.PLANNERS),
         "failures": set(failures.PLANNERS),
     }
@@ -178,7 +178,7 @@ def test_crossovers_are_where_the_lines_cross():
     )
     found = {
         (row["rival"], row["bound"]): row
-        for row in crossover.crossovers([guide, cheap, small, slow, bound])
+        for row in crossovers([guide, cheap, small, slow, bound])
         if row["stratum"] == "all" and row["average"] == "mean"
     }
     step = FINE[1] / FINE[0]
@@ -196,6 +196,9 @@ def test_crossovers_are_where_the_lines_cross():
     assert 1 / step < high / (0.997 / 300) <= 1
     assert found["ompl:bit_star", False]["from_s"] is None
     assert found["ompl:bit_star", True]["intervals_s"] == []
+    # At 0.1 s a check, 200 and 400 checks more than the bound has.
+    expected = {"mean": -30.003, "low": -40.004, "high": -20.002}
+    assert found["ompl:bit_star", True]["saved_s"] == pytest.approx(expected)
 
 
 def test_faster_names_all_intervals():
