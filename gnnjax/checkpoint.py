@@ -174,7 +174,8 @@ class TrainingCheckpoints:
         meta = read_metadata(folder)
         ours, theirs = json.loads(json.dumps(self._meta["training"])), meta["training"]
         for name in sorted(ours.keys() | theirs.keys()):
-            if ours.get(name) != theirs.get(name):
+            # What was no option yet when the run began is off, whatever that looks like.
+            if (ours.get(name) or None) != (theirs.get(name) or None):
                 raise InputError(
                     f"the run in {str(self.folder)!r} has {name} {theirs.get(name)!r}, not "
                     f"{ours.get(name)!r}; go on with the same settings"

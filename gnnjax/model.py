@@ -14,8 +14,9 @@ model first:
 """
 
 import functools
+import inspect
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,15 @@ import jraph
 from flax import nnx
 from jaxtyping import Array, Float, Int
 
-from gnnjax.encoding import EdgeOutputs, Encoding, PathState
+from gnnjax.encoding import (
+    EdgeOutputs,
+    Encoding,
+    PathState,
+    attend_to_path,
+    edge_geometry,
+    empty_path,
+    remember,
+)
 from gnnjax.errors import InputError
 from gnnjax.occupancy import HalvingConv, occupancy_grid
 from gnnjax.roadmap import Roadmap, graphs_tuple
@@ -31,6 +40,7 @@ from gnnjax.scene import Scene
 from gnnjax.validity import ValidityHead, cost_through
 
 GOAL = 1  # node index of the goal in every roadmap
+Part = Literal["gat", "gcn", "grid", "path", "attention"]  # what a network can do without
 Graph = Any  # jraph.GraphsTuple, whose fields are typed too widely for a type checker to be of use
 
 
@@ -58,6 +68,10 @@ class GuidanceNetwork(nnx.Module):
         workspace_points: points of the arm whose distances to the obstacles the validity head
             reads; it needs that head. Guidance values then start as minus the likely cost of the
             way through a neighbor (see `validity.py`), and the network learns what to add. 0: none.
+        without: parts to leave out, each for the plainest thing that keeps the shapes. "gat" and
+            "gcn" become linear layers on the node alone; "grid" an obstacle code of zeros; without
+            "path" a node attends to nothing but itself, and without "attention" not even to itself:
+            what is attended is its environment code.
         rngs: source of the initial weights.
     """
 
@@ -72,6 +86,7 @@ class GuidanceNetwork(nnx.Module):
         geometric_features: bool = True,
         validity_head: bool = True,
         workspace_points: int = 0,
+        without: Sequence[str] = (),
         *,
         rngs: nnx.Rngs,
     ):
@@ -86,6 +101,10 @@ class GuidanceNetwork(nnx.Module):
         self.workspace_points = workspace_points
         if workspace_points and not (validity_head and geometric_features):
             raise ValueError("workspace_points need validity_head and geometric_features")
+        if unknown := sorted(set(without) - set(get_args(Part))):
+            raise InputError(f"no parts {unknown} to do without; there are {list(get_args(Part))}")
+        self.without = tuple(part for part in get_args(Part) if part in without)
+        self.reads_path = not {"path", "attention"} & set(without)
 
         c, features = channels, 2 * num_dof
         pair_features = c + features if geometric_features else c
@@ -95,13 +114,15 @@ class GuidanceNetwork(nnx.Module):
 
         # Node embedding. `a` of the GAT acts on [W h_i || W h_j].
         self.gat_weight = linear(features)
-        self.gat_attention = linear(2 * c, 1)
+        if "gat" not in without:
+            self.gat_attention = linear(2 * c, 1)
         self.gcn_weight = linear(c, bias=True)
 
         # Obstacles: m^3 occupancy to C.
-        sizes = (1, c // 4), (c // 4, c // 2), (c // 2, c)
-        self.convs = nnx.List([HalvingConv(i, o, rngs=rngs) for i, o in sizes])
-        self.grid_linear = linear(c * (-(-grid_size // 8)) ** 3, bias=True)
+        if "grid" not in without:
+            sizes = (1, c // 4), (c // 4, c // 2), (c // 2, c)
+            self.convs = nnx.List([HalvingConv(i, o, rngs=rngs) for i, o in sizes])
+            self.grid_linear = linear(c * (-(-grid_size // 8)) ** 3, bias=True)
 
         # Pair MLPs. The first layer of an MLP on [a, b, c] is a sum of three linear maps, which
         # need to be computed once a node, not once an edge.
@@ -112,12 +133,15 @@ class GuidanceNetwork(nnx.Module):
         self.pair_out = linear(c, bias=True)
 
         # Path, and Attention*.
-        self.gru = nnx.GRUCell(c, c, rngs=rngs)
-        self.query_environment = linear(c)
-        self.key_environment = linear(c)
-        self.value_environment = linear(c)
-        self.query_path = linear(c)
-        self.value_path = linear(c)
+        if self.reads_path:
+            self.gru = nnx.GRUCell(c, c, rngs=rngs)
+            self.query_environment = linear(c)
+            self.key_environment = linear(c)
+        if "attention" not in without:
+            self.value_environment = linear(c)
+        if self.reads_path:
+            self.query_path = linear(c)
+            self.value_path = linear(c)
         self.attention_norm = nnx.LayerNorm(c, rngs=rngs)
 
         # Decoder h_x, and the MLP to the guidance value.
@@ -145,17 +169,8 @@ class GuidanceNetwork(nnx.Module):
     @property
     def config(self) -> dict[str, Any]:
         """The constructor's arguments: `GuidanceNetwork(**config, rngs=...)` has equal shapes."""
-        return {
-            "num_dof": self.num_dof,
-            "channels": self.channels,
-            "grid_size": self.grid_size,
-            "max_path": self.max_path,
-            "workspace_lower": self.workspace_lower,
-            "workspace_upper": self.workspace_upper,
-            "geometric_features": self.geometric_features,
-            "validity_head": self.validity_head,
-            "workspace_points": self.workspace_points,
-        }
+        names = list(inspect.signature(GuidanceNetwork.__init__).parameters)[1:-1]
+        return {name: getattr(self, name) for name in names}  # all but self and rngs
 
     # ---------------------------------------------------------------- once a query
 
@@ -183,7 +198,13 @@ class GuidanceNetwork(nnx.Module):
         code = self.embed_nodes(graph, data)
         features = jnp.concatenate([code, data], axis=-1) if self.geometric_features else code
         environment = self.encode_environment(graph, features, self.encode_obstacles(scene))
-        key, value = self.key_environment(environment), self.value_environment(environment)
+        key = value = jnp.zeros_like(environment)
+        self_score = jnp.zeros(len(environment))
+        if "attention" not in self.without:
+            value = self.value_environment(environment)
+        if self.reads_path:
+            key = self.key_environment(environment)
+            self_score = jnp.sum(self.query_environment(environment) * key, axis=-1)
         # Of an empty path, attention is all on the node itself.
         path_free = self.attention_norm(value + environment)
         decoder_near = self.decoder_environment(environment)
@@ -203,7 +224,7 @@ class GuidanceNetwork(nnx.Module):
             environment=environment,
             key=key,
             value=value,
-            self_score=jnp.sum(self.query_environment(environment) * key, axis=-1),
+            self_score=self_score,
             decoder_near=decoder_near,
             decoder_far=decoder_far,
             validity=validity,
@@ -232,11 +253,17 @@ class GuidanceNetwork(nnx.Module):
             receivers=jnp.concatenate([graph.receivers, own]),
             edges=None,
         )
-        gat_layer: Any = jraph.GAT
-        gcn_layer: Any = jraph.GraphConvolution
-        gat = gat_layer(self.gat_weight, self._gat_logit, node_update_fn=jax.nn.relu)
-        gcn = gcn_layer(self.gcn_weight, symmetric_normalization=True)
-        return jax.nn.relu(gcn(gat(graph)).nodes[:num_nodes])
+        gat: Any = jraph.GAT
+        gcn: Any = jraph.GraphConvolution
+        if "gat" in self.without:
+            graph = graph._replace(nodes=jax.nn.relu(self.gat_weight(graph.nodes)))
+        else:
+            graph = gat(self.gat_weight, self._gat_logit, node_update_fn=jax.nn.relu)(graph)
+        if "gcn" in self.without:
+            graph = graph._replace(nodes=self.gcn_weight(graph.nodes))
+        else:
+            graph = gcn(self.gcn_weight, symmetric_normalization=True)(graph)
+        return jax.nn.relu(graph.nodes[:num_nodes])
 
     def _gat_logit(
         self, sent: Float[Array, "E C"], received: Float[Array, "E C"], edges: None
@@ -246,6 +273,8 @@ class GuidanceNetwork(nnx.Module):
 
     def encode_obstacles(self, scene: Scene) -> Float[Array, " C"]:
         """`y`: occupancy grid, 3D CNN, linear layer."""
+        if "grid" in self.without:
+            return jnp.zeros(self.channels)
         grid = occupancy_grid(scene, self.workspace_lower, self.workspace_upper, self.grid_size)
         grid = grid[..., None]
         for conv in self.convs:
@@ -273,30 +302,25 @@ class GuidanceNetwork(nnx.Module):
 
     def init_path(self) -> PathState:
         """The empty path."""
-        memory = jnp.zeros((self.max_path, self.channels))
-        return PathState(jnp.zeros(self.channels), memory, memory, jnp.zeros((), jnp.int32))
+        return empty_path(self.max_path, self.channels)
 
     def extend_path(
         self, encoding: Encoding, state: PathState, node: Int[Array, ""] | int
     ) -> PathState:
         """Appends a node to the path. Past `max_path` nodes, the oldest leaves the memory."""
+        if not self.reads_path:
+            return state._replace(length=state.length + 1)
         hidden, _ = self.gru(state.hidden, encoding.code[node])
-        slot = state.length % self.max_path
-        return PathState(
-            hidden=hidden,
-            queries=state.queries.at[slot].set(self.query_path(hidden)),
-            values=state.values.at[slot].set(self.value_path(hidden)),
-            length=state.length + 1,
-        )
+        return remember(state, hidden, self.query_path(hidden), self.value_path(hidden))
 
     def attend(
         self, encoding: Encoding, state: PathState, node: Int[Array, ""] | int
     ) -> Float[Array, " C"]:
         """Attention*: softmax of `[Q_e,i K_e,i | Q_p K_e,i]` weighs `[V_e,i | V_p]`."""
-        scores = jnp.append(state.queries @ encoding.key[node], encoding.self_score[node])
-        walked = jnp.append(jnp.arange(self.max_path) < state.length, True)
-        weights = jax.nn.softmax(scores / jnp.sqrt(self.channels), where=walked)
-        attention = weights[:-1] @ state.values + weights[-1] * encoding.value[node]
+        attention = encoding.value[node]
+        if self.reads_path:
+            key, self_score = encoding.key[node], encoding.self_score[node]
+            attention = attend_to_path(state, key, self_score, attention)
         return self.attention_norm(attention + encoding.environment[node])
 
     def guidance_values(
@@ -309,7 +333,7 @@ class GuidanceNetwork(nnx.Module):
         """Guidance values of a node's slots, larger is better; padded slots are not masked."""
         neighbors = roadmap.neighbors[node]
         near = self._decoder_near(self.attend(encoding, state, node)) + encoding.decoder_near[node]
-        geometry = _edge_geometry(
+        geometry = edge_geometry(
             roadmap.lengths[node],
             encoding.goal_distance[node],
             encoding.goal_distance[neighbors],
@@ -353,11 +377,13 @@ class GuidanceNetwork(nnx.Module):
         graph: Graph = graphs_tuple(roadmap, max_edges)
         lengths = graph.edges[:, 0]
 
-        hidden, _ = self.gru(jnp.zeros_like(encoding.code), encoding.code)
-        path_score = jnp.sum(self.query_path(hidden) * encoding.key, axis=-1)
-        scores = jnp.stack([encoding.self_score, path_score], axis=-1)
-        weights = jax.nn.softmax(scores / jnp.sqrt(self.channels))
-        attention = weights[:, :1] * encoding.value + weights[:, 1:] * self.value_path(hidden)
+        attention = encoding.value
+        if self.reads_path:
+            hidden, _ = self.gru(jnp.zeros_like(encoding.code), encoding.code)
+            path_score = jnp.sum(self.query_path(hidden) * encoding.key, axis=-1)
+            scores = jnp.stack([encoding.self_score, path_score], axis=-1)
+            weights = jax.nn.softmax(scores / jnp.sqrt(self.channels))
+            attention = weights[:, :1] * attention + weights[:, 1:] * self.value_path(hidden)
         attended = self.attention_norm(attention + encoding.environment)
 
         # One wide gather an end, as each costs a scatter in the gradient.
@@ -368,7 +394,7 @@ class GuidanceNetwork(nnx.Module):
         # Row e of the compact list is the e-th slot that holds an edge; its padding is dropped.
         slots = jnp.nonzero(mask.ravel(), size=max_edges, fill_value=mask.size)[0]
         through = encoding.through.ravel()[jnp.minimum(slots, mask.size - 1)]
-        geometry = _edge_geometry(lengths, near[:, -1], far[:, -1], through)
+        geometry = edge_geometry(lengths, near[:, -1], far[:, -1], through)
         values = self._decode(near[:, :-1] + far[:, :-1], geometry)
         values = jnp.zeros(mask.size).at[slots].set(values, mode="drop").reshape(mask.shape)
         return EdgeOutputs(values, encoding.validity)
@@ -377,20 +403,3 @@ class GuidanceNetwork(nnx.Module):
 def _add_dummy(rows: Float[Array, "N F"]) -> Float[Array, "M F"]:
     """Adds the node that the padding edges of `graphs_tuple` run from and to."""
     return jnp.pad(rows, ((0, 1), (0, 0)))
-
-
-def _edge_geometry(
-    lengths: Float[Array, " E"],
-    near: Float[Array, "*scalar_or_E"],
-    far: Float[Array, " E"],
-    through: Float[Array, " E"],
-) -> Float[Array, "E 5"]:
-    """Length, goal distances of both ends, progress per length, and the likely cost of the way.
-
-    Distances in units of pi.
-    """
-    lengths = lengths / jnp.pi
-    progress = (near - far) / jnp.maximum(lengths, 1e-6)
-    near = jnp.broadcast_to(near, far.shape)
-    # Padded slots have no length, and a padding row may pair nodes that are far apart.
-    return jnp.stack([lengths, near, far, jnp.clip(progress, -1.0, 1.0), through], axis=-1)

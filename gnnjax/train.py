@@ -27,7 +27,7 @@ from gnnjax.compilation import cache_compilations
 from gnnjax.errors import InputError, atomic_write, run_command
 from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled, problem_keys
 from gnnjax.losses import graph_losses
-from gnnjax.model import GuidanceNetwork
+from gnnjax.model import GuidanceNetwork, Part
 from gnnjax.planner import Planner
 from gnnjax.problem import Problem, load_problems
 from gnnjax.robot import Robot, load_robot
@@ -42,6 +42,8 @@ class TrainConfig:
     """Where all other options start from: default, paper or smoke."""
     data: Path = Path("data/kuka_iiwa14_train")
     """Folder or .npz made by `python -m gnnjax.generate`."""
+    num_roadmaps: int | None = None
+    """Learn from only the first so many."""
     robot: str = "kuka_iiwa14"
     """The arm of the problems."""
     out: Path = Path("runs/kuka_iiwa14")
@@ -79,11 +81,13 @@ class TrainConfig:
     """See `GuidanceNetwork`."""
     channels: int = 32
     """See `GuidanceNetwork`."""
+    without: tuple[Part, ...] = ()
+    """Parts of the network to leave out, see `GuidanceNetwork`."""
 
     validate_every: int = 4
     """Epochs between validations, which plan, and checkpoints."""
     validation_problems: int = 100
-    """Problems to plan; drawn apart from all others."""
+    """Problems to plan, drawn apart from all others; 0 to validate nothing."""
 
 
 PRESETS = {
@@ -189,7 +193,13 @@ def train(config: TrainConfig) -> Path:
     """
     cache_compilations()
     robot = load_robot(config.robot)
-    data = from_problem_set(load_problems(config.data, robot))
+    problems = load_problems(config.data, robot)
+    if config.num_roadmaps is not None and not 1 <= config.num_roadmaps <= len(problems):
+        raise InputError(
+            f"num_roadmaps is {config.num_roadmaps}; choose 1 to {len(problems)}, the roadmaps in "
+            f"{str(config.data)!r}"
+        )
+    data = from_problem_set(problems.take(slice(config.num_roadmaps)))
     num = len(data.problem.start)
     if not 1 <= config.batch_size <= num:
         raise InputError(f"batch_size is {config.batch_size}; choose 1 to {num}, the roadmaps")
@@ -201,13 +211,15 @@ def train(config: TrainConfig) -> Path:
         geometric_features=config.geometric_features,
         validity_head=config.validity_weight > 0,
         workspace_points=config.workspace_points,
+        without=config.without,
         rngs=nnx.Rngs(config.seed),
     )
     num_nodes = int(data.roadmap.node_mask.sum(axis=1).max())
     planner = Planner(robot, "gnn", num_nodes, max_roadmaps=1, network=network)
-    validation = generate_labelled(robot, 0)(
-        problem_keys(config.seed, "validation", 0, config.validation_problems)
-    )
+    validation = None
+    if config.validation_problems:
+        keys = problem_keys(config.seed, "validation", 0, config.validation_problems)
+        validation = generate_labelled(robot, 0)(keys)
     graphdef, weights = nnx.split(network)
     optimizer = make_optimizer(config, num_steps)
     step = make_step(graphdef, optimizer, robot, config)
@@ -247,14 +259,15 @@ def train(config: TrainConfig) -> Path:
             record["seconds"] = time.perf_counter() - begin
             last = epoch + 1 == config.epochs
             if last or (epoch + 1) % config.validate_every == 0:
-                planner.use_weights(state.weights)
-                found = validate(planner, validation)
-                record |= {f"validation_{name}": value for name, value in found.items()}
+                if validation is not None:
+                    planner.use_weights(state.weights)
+                    found = validate(planner, validation)
+                    record |= {f"validation_{name}": value for name, value in found.items()}
+                    progress.console.print(
+                        f"epoch {epoch + 1}: loss {record['loss']:.3f}, validation success "
+                        f"{found['success']:.2f}, {found['edge_checks']:.1f} edge checks"
+                    )
                 checkpoints.save(epoch + 1, state)
-                progress.console.print(
-                    f"epoch {epoch + 1}: loss {record['loss']:.3f}, validation success "
-                    f"{found['success']:.2f}, {found['edge_checks']:.1f} edge checks"
-                )
             records.append(record)
             _write_log(log, records)
             for name, value in record.items():

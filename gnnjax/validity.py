@@ -23,7 +23,7 @@ _FRACTIONS = (0.25, 0.5, 0.75)  # where an edge is looked at, besides its ends
 _RANGE = 0.15  # m; distances beyond about twice this tell nothing more
 _FARTHEST = 50.0  # rad; stands for "no way to the goal"
 
-_EDGES_A_BLOCK = 1024
+_ROWS_A_BLOCK = 1024
 
 PointDistances = Callable[[jax.Array], jax.Array]  # `[B D] -> [B P]`, m
 
@@ -105,27 +105,30 @@ def edge_distances(
         nodes: configurations.
         near: one end of each edge.
         far: the other.
-        count: edges to look at; those after them may be left at zero.
+        count: edges to look at; what is said of those after them means nothing.
         point_distances: of the arm in one scene.
     """
-    at_node = point_distances(nodes)
-    # Block by block: their distances stay in the processor's cache, and padding costs nothing.
-    size = min(_EDGES_A_BLOCK, len(near))
-    length, num = len(near), -(-len(near) // size) * size
-    near, far = (jnp.pad(end, (0, num - len(end))) for end in (near, far))
+    num, num_edges = len(nodes), len(near)
+    start, stop = nodes[near], nodes[far]
+    along = jnp.stack([start + t * (stop - start) for t in _FRACTIONS], axis=1)
+    rows = jnp.concatenate([nodes, along.reshape(-1, nodes.shape[1])])
+    # Nodes and places along edges in one loop: each call of the kinematics takes a second or two
+    # to compile. Block by block: a block stays in the processor's cache, and padding costs nothing.
+    size = min(_ROWS_A_BLOCK, len(rows))
+    rows = jnp.pad(rows, ((0, -len(rows) % size), (0, 0)))
 
-    def look(i: jax.Array, features: jax.Array) -> jax.Array:
-        ends = [jax.lax.dynamic_slice_in_dim(end, i * size, size) for end in (near, far)]
-        start, stop = nodes[ends[0]], nodes[ends[1]]
-        along = jnp.concatenate([start + t * (stop - start) for t in _FRACTIONS])
-        quarter, middle, three_quarters = jnp.split(point_distances(along), 3)
-        pairs = [(at_node[ends[0]], at_node[ends[1]]), (quarter, three_quarters)]
-        ordered = [order(*pair) for pair in pairs for order in (jnp.minimum, jnp.maximum)]
-        block = jnp.concatenate([*ordered, middle], axis=-1)
-        return jax.lax.dynamic_update_slice_in_dim(features, block, i * size, axis=0)
+    def look(i: jax.Array, distances: jax.Array) -> jax.Array:
+        block = point_distances(jax.lax.dynamic_slice_in_dim(rows, i * size, size))
+        return jax.lax.dynamic_update_slice_in_dim(distances, block, i * size, axis=0)
 
-    features = jnp.zeros((num, 5 * at_node.shape[-1]), at_node.dtype)
-    return jax.lax.fori_loop(0, (count + size - 1) // size, look, features)[:length]
+    shape = jax.eval_shape(point_distances, rows)
+    blocks = (num + len(_FRACTIONS) * count + size - 1) // size
+    distances = jax.lax.fori_loop(0, blocks, look, jnp.zeros(shape.shape, shape.dtype))
+    at_node = distances[:num]
+    along = distances[num : num + len(_FRACTIONS) * num_edges].reshape(num_edges, 3, -1)
+    pairs = [(at_node[near], at_node[far]), (along[:, 0], along[:, 2])]
+    ordered = [order(*pair) for pair in pairs for order in (jnp.minimum, jnp.maximum)]
+    return jnp.concatenate([*ordered, along[:, 1]], axis=-1)
 
 
 def edge_price(logits: Float[Array, "N K"]) -> Float[Array, "N K"]:

@@ -69,7 +69,7 @@ def random_scene(seed=0, num_boxes=4, padding=2) -> Scene:
     )
 
 
-def small_network(kind: str) -> GuidanceNetwork:
+def small_network(kind: str, without=()) -> GuidanceNetwork:
     return GuidanceNetwork(
         channels=8,
         grid_size=8,
@@ -77,6 +77,7 @@ def small_network(kind: str) -> GuidanceNetwork:
         geometric_features=kind != "paper",
         validity_head=kind != "paper",
         workspace_points=4 if kind == "workspace" else 0,
+        without=without,
         rngs=nnx.Rngs(0),
     )
 
@@ -86,10 +87,10 @@ def fake_distances(scene, q):
     return 0.3 * jnp.sin(q[:, :4] + scene.centers[0, 0])
 
 
-def make_model(kind: str):
+def make_model(kind: str, without=()):
     """A small network with random weights everywhere, also where training starts from zero."""
     # The initializers would take longer to compile than the tests to run.
-    graphdef, shapes = nnx.split(nnx.eval_shape(lambda: small_network(kind)))
+    graphdef, shapes = nnx.split(nnx.eval_shape(lambda: small_network(kind, without)))
     rng = np.random.default_rng(1)
     params = jax.tree.map(
         lambda x: jnp.asarray(rng.normal(size=x.shape) / np.sqrt(x.shape[0]), jnp.float32), shapes
@@ -229,6 +230,61 @@ def test_node_codes_agree_with_numpy(models):
     expected = (connected / np.sqrt(np.outer(degree, degree))) @ linear(net.gcn_weight, attended)
     actual = net.embed_nodes(graphs_tuple(roadmap, 70), jnp.asarray(data, jnp.float32))
     close(actual, relu(expected))
+
+
+@pytest.mark.parametrize("without", ["gat", "gcn"])
+def test_a_network_without_a_graph_layer_has_a_linear_one_on_each_node(without):
+    net = make_model("paper", [without]).net
+    nodes, adjacent = random_graph()
+    roadmap = make_roadmap(nodes, adjacent)
+    data = np.asarray(net.node_data(roadmap), np.float64)
+    connected = adjacent | np.eye(len(nodes), dtype=bool)
+    degree = connected.sum(1)
+    code = linear(net.gat_weight, data)
+    if without == "gat":
+        averaging = connected / np.sqrt(np.outer(degree, degree))
+        expected = averaging @ linear(net.gcn_weight, relu(code))
+        assert not hasattr(net, "gat_attention")
+    else:
+        for i in range(len(nodes)):
+            ends = np.flatnonzero(connected[i])
+            wh = linear(net.gat_weight, data[ends])
+            own = np.broadcast_to(linear(net.gat_weight, data[i]), wh.shape)
+            e = linear(net.gat_attention, np.hstack([own, wh]))[:, 0]
+            code[i] = softmax(np.where(e > 0.0, e, 0.01 * e)) @ wh
+        expected = linear(net.gcn_weight, relu(code))
+    actual = net.embed_nodes(graphs_tuple(roadmap, 70), jnp.asarray(data, jnp.float32))
+    close(actual, relu(expected))
+
+
+def test_a_network_without_grid_sees_no_obstacles():
+    model = make_model("paper", ["grid"])
+    roadmap = make_roadmap(*random_graph())
+    np.testing.assert_array_equal(model.net.encode_obstacles(random_scene()), np.zeros(8))
+    here, there = (model.encode(model.params, roadmap, random_scene(seed)) for seed in (0, 1))
+    jax.tree.map(np.testing.assert_array_equal, here, there)
+
+
+@pytest.mark.parametrize("without", ["path", "attention"])
+def test_without_path_or_attention_a_node_knows_only_itself(without):
+    model = make_model("paper", [without])
+    net, roadmap = model.net, make_roadmap(*random_graph())
+    encoding = model.encode(model.params, roadmap, random_scene())
+    environment = np.asarray(encoding.environment[3], np.float64)
+    own = linear(net.value_environment, environment) if without == "path" else 0.0
+    states = [model.walk(model.params, encoding, jnp.array(w, jnp.int32)) for w in (WALK, [5])]
+    assert [int(state.length) for state in states] == [len(WALK), 1]
+    for state in states:
+        close(net.attend(encoding, state, 3), norm(net.attention_norm, own + environment))
+    values = [model.values(model.params, encoding, state, roadmap) for state in states]
+    np.testing.assert_array_equal(*values)
+    outputs = model.outputs(model.params, encoding, roadmap)
+    close(outputs.values, jnp.where(roadmap.neighbor_mask, values[0], 0.0))
+
+
+def test_unknown_parts_are_refused():
+    with pytest.raises(InputError, match=r"no parts \['gru'\] to do without; there are \['gat',"):
+        small_network("paper", ["gat", "gru"])
 
 
 def test_environment_code_agrees_with_numpy(models):
@@ -436,9 +492,12 @@ def test_the_config_rebuilds_the_network_and_it_is_small(extended):
     def build(**config):
         return nnx.eval_shape(lambda: GuidanceNetwork(**config, rngs=nnx.Rngs(0)))
 
-    net = build(channels=16, geometric_features=extended, validity_head=extended)
+    options = {"without": ("path", "gat")} if extended else {}
+    net = build(channels=16, geometric_features=extended, validity_head=extended, **options)
     again = build(**json.loads(json.dumps(net.config)))  # as a checkpoint would store it
     assert again.config == net.config
     assert nnx.split(again)[0] == nnx.split(net)[0]
+    older = {name: value for name, value in net.config.items() if name != "without"}
+    assert build(**older).without == ()
     _, params = nnx.split(build())
     assert sum(4 * x.size for x in jax.tree.leaves(params)) < 1e6

@@ -21,7 +21,7 @@ from gnnjax.problem import load_problems
 from gnnjax.roadmap import edge_bucket
 from gnnjax.robot import load_robot
 from gnnjax.search import GOAL
-from gnnjax.train import LOSS_OPTIONS, PRESETS, TrainState, make_optimizer, train
+from gnnjax.train import LOSS_OPTIONS, PRESETS, TrainState, make_optimizer, parse, train
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +187,37 @@ def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
     ]
     for ours, theirs in zip(*weights, strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_run_that_began_before_an_option_was_there_goes_on(network, tmp_path):
+    weights = nnx.state(network, nnx.Param)
+    state = TrainState(weights, make_optimizer(PRESETS["smoke"], 10).init(weights))
+    with TrainingCheckpoints(tmp_path, network, {"seed": 0}) as checkpoints:
+        checkpoints.save(1, state)
+    with TrainingCheckpoints(tmp_path, network, {"seed": 0, "without": ()}) as checkpoints:
+        assert checkpoints.restore(state)[0] == 1
+    settings = {"seed": 0, "without": ("gat",)}
+    with TrainingCheckpoints(tmp_path, network, settings) as checkpoints:
+        with pytest.raises(InputError, match=r"has without None, not \['gat'\]"):
+            checkpoints.restore(state)
+
+
+def test_the_number_of_roadmaps_is_checked(smoke):
+    config = dataclasses.replace(smoke, num_roadmaps=9)
+    with pytest.raises(InputError, match="num_roadmaps is 9; choose 1 to 8, the roadmaps in"):
+        train(config)
+
+
+def test_the_command_line_leaves_parts_out_and_keeps_the_preset(monkeypatch):
+    words = "train --preset paper --without gat path --num-roadmaps 100 --epochs 3"
+    monkeypatch.setattr("sys.argv", words.split())
+    config = parse()
+    assert config == dataclasses.replace(
+        PRESETS["paper"], without=("gat", "path"), num_roadmaps=100, epochs=3
+    )
+    monkeypatch.setattr("sys.argv", "train --without gru".split())
+    with pytest.raises(SystemExit):
+        parse()
 
 
 @pytest.mark.parametrize("name", ["adamw", "sgd"])
