@@ -230,6 +230,8 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
         panel.grid(axis="x", alpha=0.3)
         if logarithmic:
             panel.set_xscale("log")
+            panel.set_xticks((5, 10, 20, 50), ("5", "10", "20", "50"))
+            panel.minorticks_off()
     axes[0].set_yticks(at, [_line_name(row) for row in rows])
     axes[0].legend()
     figure.suptitle(

@@ -199,7 +199,7 @@ def draw(rows: list[dict[str, Any]], marks: dict[str, float], out: Path) -> None
     for axes in panels[:, 0]:
         axes.set_ylabel("total time [s]")
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=9)
-    atomic_write(out, lambda file: figure.savefig(file, dpi=110))
+    atomic_write(out, lambda file: figure.savefig(file, dpi=75))
 
 
 if __name__ == "__main__":
