@@ -24,8 +24,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from gnnjax.collision import Backend, make_checker
-from gnnjax.errors import InputError, atomic_write, run_command
-from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Method, Plan, Planner, load_planner
+from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
+from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Plan, Planner, load_planner
 from gnnjax.problem import Problem, ProblemSet, load_problems
 from gnnjax.scene import is_axis_aligned
 
@@ -56,8 +56,8 @@ class EvaluateConfig:
     """Where results go; goes on with what is there if it has the same settings."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
-    planner: Method = "gnn"
-    """How roadmaps are searched."""
+    planner: str = "gnn"
+    """How roadmaps are searched: gnn, gnn_lazy, distance, oracle, prm or lazysp."""
     num_nodes: int = 200
     """Nodes of a roadmap."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
@@ -82,6 +82,8 @@ def evaluate(config: EvaluateConfig) -> dict[str, Any]:
             f"batch_size is {config.batch_size}, num_problems {config.num_problems}; "
             "both must be at least 1"
         )
+    check_seed(config.seed)
+    check_target(config.json)
     planner = load_planner(
         config.robot,
         config.planner,
@@ -258,7 +260,8 @@ def _earlier_results(path: Path, settings: dict[str, Any]) -> list[dict]:
     """The problems that an earlier run with the same settings has in its file."""
     try:
         earlier = json.loads(path.read_text(encoding="utf-8"))
-        version, theirs, rows = earlier["format"], earlier["settings"], earlier["problems"]
+        version, theirs = earlier["format"], dict(earlier["settings"])
+        rows = list(earlier["problems"])
     except FileNotFoundError:
         return []
     except (ValueError, KeyError, TypeError):
