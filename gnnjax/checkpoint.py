@@ -4,8 +4,12 @@ A checkpoint of a training run has the same form, with the state of the optimize
 weights, so that either can be planned with.
 """
 
+import errno
 import importlib.metadata
 import json
+import os
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -64,15 +68,21 @@ def save_network(folder: str | Path, network: GuidanceNetwork, training: dict[st
         network: what to keep.
         training: the configuration of the run and its results, as JSON.
     """
+    folder = Path(folder).resolve()
+    # Orbax would remove the old folder before it writes the new one.
+    new, old = (folder.with_name(f".{folder.name}-{age}") for age in ("new", "old"))
+    weights = nnx.to_pure_dict(nnx.state(network, nnx.Param))
+    items = ocp.args.Composite(
+        weights=ocp.args.StandardSave(weights),
+        meta=ocp.args.JsonSave(metadata(network, training)),
+    )
     with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
-        checkpointer.save(
-            Path(folder).resolve(),
-            args=ocp.args.Composite(
-                weights=ocp.args.StandardSave(nnx.to_pure_dict(nnx.state(network, nnx.Param))),
-                meta=ocp.args.JsonSave(metadata(network, training)),
-            ),
-            force=True,
-        )
+        _write(folder, weights, lambda: checkpointer.save(new, args=items, force=True))
+    if folder.exists():
+        shutil.rmtree(old, ignore_errors=True)
+        folder.rename(old)
+    new.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def read_metadata(folder: str | Path) -> dict[str, Any]:
@@ -159,7 +169,11 @@ class TrainingCheckpoints:
             optimizer=ocp.args.StandardSave(_by_number(state.optimizer)),
             meta=ocp.args.JsonSave(self._meta),
         )
-        self._manager.save(epoch, args=items, force=True)
+        _write(
+            self.folder / str(epoch),
+            (state.weights, state.optimizer),
+            lambda: self._manager.save(epoch, args=items, force=True),
+        )
 
     def restore(self, state: Any) -> tuple[int, Any]:
         """The last epoch written, and `state` as it was then.
@@ -199,6 +213,23 @@ def _by_number(state: Any) -> dict[str, jax.Array]:
     refuses to write nothing."""
     leaves = jax.tree.leaves(state)
     return {"num_leaves": jnp.int32(len(leaves))} | {str(i): x for i, x in enumerate(leaves)}
+
+
+def _write(folder: Path, arrays: Any, save: Callable[[], object]) -> None:
+    """Writes a checkpoint, or says why it cannot be written."""
+    # On a full disk Orbax fills the terminal with the failures of its threads. It writes arrays
+    # twice, and dozens of small files.
+    needed = 2 * sum(x.nbytes for x in jax.tree.leaves(arrays)) + 2**22
+    place = next(parent for parent in folder.parents if parent.exists())
+    if shutil.disk_usage(place).free < needed:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+    try:
+        save()
+    except ValueError as error:  # what TensorStore makes of a failed write
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"checkpoint {str(folder)!r} cannot be written ({reason}); make room and start again"
+        ) from None
 
 
 def _restore(folder: Path, **items: Any) -> Any:

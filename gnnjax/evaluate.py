@@ -28,7 +28,7 @@ from rich.table import Table
 
 from gnnjax.classical import ClassicalMethod, ClassicalPlanner, ompl_version
 from gnnjax.collision import EDGE_RESOLUTION, Backend, make_checker
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
 from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Method, Planner, load_planner
 from gnnjax.problem import Problem, ProblemSet, load_problems
 from gnnjax.query import Plan
@@ -61,8 +61,9 @@ class EvaluateConfig:
     """Where results go; goes on with what is there if it has the same settings."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
-    planner: Method | ClassicalMethod = "gnn"
-    """How roadmaps are searched, or a planner of OMPL (needs the experiments extra)."""
+    planner: str = "gnn"
+    """How roadmaps are searched: gnn, gnn_lazy, distance, oracle, prm or lazysp; or a planner of
+    OMPL (docs/ompl.md), such as ompl:rrt_connect, which needs the experiments extra."""
     num_nodes: int = 200
     """Nodes of a roadmap."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
@@ -98,6 +99,8 @@ def evaluate(
             f"batch_size is {config.batch_size}, num_problems {config.num_problems}; "
             "both must be at least 1"
         )
+    check_seed(config.seed)
+    check_target(config.json)
     planner = planner or make_planner(config)
     problems = load_problems(config.problems, planner.robot).take(slice(config.num_problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
@@ -126,6 +129,9 @@ def _is_classical(config: EvaluateConfig) -> bool:
 
 def make_planner(config: EvaluateConfig) -> Planner | ClassicalPlanner:
     """The planner that a configuration names."""
+    known = [*get_args(Method), *get_args(ClassicalMethod)]
+    if config.planner not in known:
+        raise InputError(f"no planner {config.planner!r}; there are {known}")
     limits = {"resolution": config.resolution, "time_limit": config.time_limit}
     if _is_classical(config):
         return ClassicalPlanner(config.robot, config.planner, checker=config.checker, **limits)
@@ -311,7 +317,8 @@ def _earlier_results(path: Path, settings: dict[str, Any]) -> list[dict]:
     """The problems that an earlier run with the same settings has in its file."""
     try:
         earlier = json.loads(path.read_text(encoding="utf-8"))
-        version, theirs, rows = earlier["format"], earlier["settings"], earlier["problems"]
+        version, theirs = earlier["format"], dict(earlier["settings"])
+        rows = list(earlier["problems"])
     except FileNotFoundError:
         return []
     except (ValueError, KeyError, TypeError):

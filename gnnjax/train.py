@@ -8,6 +8,7 @@ step of the walk and from every node of the roadmap, and with a second head whic
 import argparse
 import dataclasses
 import json
+import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,11 +21,13 @@ import optax
 import tyro
 from flax import nnx
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from tensorboardX import SummaryWriter
+from tensorboardX.proto.event_pb2 import Event
+from tensorboardX.proto.summary_pb2 import Summary
+from tensorboardX.record_writer import masked_crc32c
 
 from gnnjax.checkpoint import TrainingCheckpoints, save_network
 from gnnjax.compilation import cache_compilations
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
 from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled, problem_keys
 from gnnjax.losses import graph_losses
 from gnnjax.model import GuidanceNetwork, Part
@@ -134,7 +137,8 @@ def make_optimizer(config: TrainConfig, num_steps: int) -> optax.GradientTransfo
         decay = optax.add_decayed_weights(config.weight_decay)
         return optax.chain(decay, optax.sgd(config.learning_rate))
     warmup = min(200, num_steps // 10 + 1)
-    rate = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warmup, num_steps)
+    decay = max(num_steps, warmup + 1)  # also for a run of one step
+    rate = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warmup, decay)
     return optax.chain(
         optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=config.weight_decay)
     )
@@ -191,6 +195,7 @@ def train(config: TrainConfig) -> Path:
     The order of the data and the walks depend on seed and epoch alone, so that a run that was cut
     off and resumed comes to the same numbers.
     """
+    _check_config(config)
     cache_compilations()
     robot = load_robot(config.robot)
     problems = load_problems(config.data, robot)
@@ -236,9 +241,9 @@ def train(config: TrainConfig) -> Path:
         )
     log = config.out / "log.jsonl"
     records = [] if first_epoch == 0 else _read_log(log, first_epoch)
-    writer = SummaryWriter(str(config.out / "tensorboard"))
+    events = config.out / "tensorboard" / f"events.out.tfevents.{int(time.time())}.gnnjax"
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    with checkpoints, writer, Progress(*columns, TimeRemainingColumn()) as progress:
+    with checkpoints, Progress(*columns, TimeRemainingColumn()) as progress:
         bar = progress.add_task(
             "compiling", total=num_steps, completed=first_epoch * steps_an_epoch
         )
@@ -270,12 +275,31 @@ def train(config: TrainConfig) -> Path:
                 checkpoints.save(epoch + 1, state)
             records.append(record)
             _write_log(log, records)
-            for name, value in record.items():
-                writer.add_scalar(name, value, (epoch + 1) * steps_an_epoch)
+            _append_event(events, record, (epoch + 1) * steps_an_epoch)
     nnx.update(network, state.weights)
     save_network(config.out / "weights", network, {**_settings(config), "log": records[-1:]})
     print(f"weights in {config.out / 'weights'}")
     return config.out / "weights"
+
+
+def _check_config(config: TrainConfig) -> None:
+    """Refuses numbers that nothing can be trained with, before anything is computed."""
+    least = dict.fromkeys(("epochs", "validate_every", "validation_problems", "max_walk"), 1)
+    least |= {"num_dof": 1, "channels": 4, "workspace_points": 0, "temperature": 0}
+    least |= {"learning_rate": 0, "weight_decay": 0, "validity_weight": 0}
+    for name, bound in least.items():
+        value = getattr(config, name)
+        if not bound <= value < float("inf"):  # NaN fails this, too
+            raise InputError(f"{name} is {value}; it must be at least {bound}, and finite")
+    if config.channels % 4:
+        raise InputError(f"channels is {config.channels}; it must be a multiple of 4")
+    if config.workspace_points and not (config.validity_weight and config.geometric_features):
+        raise InputError(
+            f"workspace_points is {config.workspace_points} and needs validity_weight > 0 and "
+            "geometric_features; add --workspace-points 0 to go without"
+        )
+    check_seed(config.seed)
+    check_target(config.out / "log.jsonl")
 
 
 def _settings(config: TrainConfig) -> dict[str, Any]:
@@ -294,6 +318,27 @@ def _read_log(path: Path, epochs: int) -> list[dict[str, Any]]:
     """The records up to the checkpoint that a run goes on from."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     return [json.loads(line) for line in lines[:epochs]]
+
+
+def _append_event(path: Path, record: dict[str, Any], step: int) -> None:
+    """Adds a record to a file that TensorBoard reads.
+
+    Not by tensorboardX's `SummaryWriter`: its thread dies on a full disk, and then the run waits
+    for it without end.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    events = [] if path.exists() else [Event(wall_time=time.time(), file_version="brain.Event:2")]
+    values = [Summary.Value(tag=name, simple_value=value) for name, value in record.items()]
+    events.append(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
+    with open(path, "ab", buffering=0) as file:
+        for event in events:
+            data = event.SerializeToString()
+            size = struct.pack("<Q", len(data))
+            file.write(size + _checksum(size) + data + _checksum(data))
+
+
+def _checksum(data: bytes) -> bytes:
+    return struct.pack("<I", masked_crc32c(data))
 
 
 def parse() -> TrainConfig:

@@ -3,12 +3,17 @@
 import dataclasses
 import json
 import shutil
+import struct
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import orbax.checkpoint as ocp
 import pytest
 from flax import nnx
+from tensorboardX.proto.event_pb2 import Event
+from tensorboardX.record_writer import masked_crc32c
 
 import gnnjax.train
 from gnnjax.checkpoint import TrainingCheckpoints, load_network, read_metadata, save_network
@@ -145,11 +150,24 @@ def records(config):
     return [{k: v for k, v in json.loads(line).items() if k != "seconds"} for line in lines]
 
 
+def read_events(path):
+    """The values in a TensorBoard file: size, its checksum, an event, its checksum, and so on."""
+    data, values = path.read_bytes(), []
+    while data:
+        (size,) = struct.unpack("<Q", data[:8])
+        assert struct.unpack("<I", data[8:12])[0] == masked_crc32c(data[:8])
+        event, data = Event.FromString(data[12 : 12 + size]), data[16 + size :]
+        values += event.summary.value
+    return values
+
+
 def test_a_run_logs_validates_and_leaves_weights_that_plan(tiny_path, smoke):
     first, second = records(smoke)
     assert second["loss"] != first["loss"]
     assert 0 <= second["validation_success"] <= 1
-    assert list((smoke.out / "tensorboard").iterdir())
+    (events,) = (smoke.out / "tensorboard").iterdir()
+    losses = [e.simple_value for e in read_events(events) if e.tag == "loss"]
+    np.testing.assert_allclose(losses, [first["loss"], second["loss"]], rtol=1e-6)
     data = load_problems(smoke.data, load_robot(tiny_path)).problems
     for method in ("gnn", "gnn_lazy"):
         planner = load_planner(tiny_path, method, num_nodes=30, weights=smoke.out / "weights")
@@ -175,6 +193,9 @@ def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
         train(config)
     assert len(records(config)) == 1
     monkeypatch.undo()
+    # As if killed while the second checkpoint was written.
+    (config.out / "checkpoints" / "2.orbax-checkpoint-tmp").mkdir()
+    (config.out / "checkpoints" / "2.orbax-checkpoint-tmp" / "half").write_text("half")
     with pytest.raises(InputError, match="holds a run already; add --resume"):
         train(config)
     with pytest.raises(InputError, match=r"has learning_rate 0\.003, not 1\.0"):
@@ -232,6 +253,78 @@ def test_the_state_of_every_optimizer_is_kept(network, tmp_path, name):
     assert jax.tree.structure(restored) == jax.tree.structure(state)
     for ours, theirs in zip(*map(jax.tree.leaves, (restored, state)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_run_of_one_step_has_an_optimizer():
+    assert make_optimizer(PRESETS["smoke"], 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"epochs": 0}, "epochs is 0; it must be at least 1"),
+        ({"validate_every": 0}, "validate_every is 0"),
+        ({"validation_problems": 0}, "validation_problems is 0"),
+        ({"max_walk": -3}, "max_walk is -3"),
+        ({"channels": 0}, "channels is 0; it must be at least 4"),
+        ({"channels": 6}, "channels is 6; it must be a multiple of 4"),
+        ({"num_dof": 0}, "num_dof is 0"),
+        ({"learning_rate": float("nan")}, "learning_rate is nan"),
+        ({"weight_decay": float("inf")}, "weight_decay is inf"),
+        ({"validity_weight": 0.0}, "workspace_points is 12 and needs validity_weight > 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"batch_size": 9}, "batch_size is 9; choose 1 to 8"),
+        ({"data": Path("missing")}, "no problem file 'missing'"),
+    ],
+)
+def test_bad_settings_are_refused(tiny_path, data_path, tmp_path, change, message):
+    settings = {"data": data_path, "robot": str(tiny_path), "out": tmp_path / "run"} | change
+    with pytest.raises(InputError, match=message):
+        train(dataclasses.replace(PRESETS["smoke"], **settings))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_cannot_go_into_a_file(tiny_path, data_path, tmp_path):
+    (tmp_path / "file").write_text("kept")
+    config = dataclasses.replace(
+        PRESETS["smoke"], data=data_path, robot=str(tiny_path), out=tmp_path / "file"
+    )
+    with pytest.raises(InputError, match="is a file; name a folder"):
+        train(config)
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_a_full_disk_leaves_the_checkpoints_there_are(network, tmp_path, monkeypatch):
+    save_network(tmp_path / "weights", network, {"run": 1})
+    state = TrainState(nnx.state(network, nnx.Param), {})
+    full = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
+    with TrainingCheckpoints(tmp_path / "run", network, {}) as checkpoints:
+        for write in (
+            lambda: checkpoints.save(1, state),
+            lambda: save_network(tmp_path / "weights", network, {"run": 2}),
+        ):
+            with pytest.raises(OSError, match=r"No space left on device: .*(run/1|weights)'"):
+                write()
+        assert checkpoints.latest() is None
+    assert read_metadata(tmp_path / "weights")["training"] == {"run": 1}
+
+
+def test_weights_outlive_a_save_that_is_cut_off(network, tmp_path, monkeypatch):
+    save_network(tmp_path / "weights", network, {"run": 1})
+
+    def killed(self, folder, *args, **kwargs):
+        folder.mkdir()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ocp.Checkpointer, "save", killed)
+        with pytest.raises(KeyboardInterrupt):
+            save_network(tmp_path / "weights", network, {"run": 2})
+    assert read_metadata(tmp_path / "weights")["training"] == {"run": 1}
+    save_network(tmp_path / "weights", network, {"run": 3})
+    assert read_metadata(tmp_path / "weights")["training"] == {"run": 3}
+    assert [path.name for path in tmp_path.iterdir()] == ["weights"]
 
 
 def test_the_paper_preset_is_the_papers():
