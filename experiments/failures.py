@@ -133,11 +133,10 @@ def ends_in_voxels(path: Path, robot_name: str, num_problems: int) -> np.ndarray
     robot = load_robot(robot_name)
     problems = load_problems(path, robot).take(slice(num_problems)).problems
     network = load_network("kuka_iiwa14_paper")
-    lower, upper = np.array(network.workspace_lower), np.array(network.workspace_upper)
-    size = network.grid_size
-    voxel = (upper - lower) / size
+    lower, upper, size = network.workspace_lower, network.workspace_upper, network.grid_size
+    voxel = np.subtract(upper, lower) / size
     index = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    centers = (lower + voxel * (index + 0.5)).astype(np.float32)
+    centers = (np.array(lower) + voxel * (index + 0.5)).astype(np.float32)
     checker = make_checker(robot, axis_aligned=True)
     grid_of = functools.partial(occupancy_grid, lower=lower, upper=upper, grid_size=size)
 

@@ -14,7 +14,7 @@ from gnnjax.certify import certify_path, configuration_clearance
 from gnnjax.classical import ClassicalPlanner
 from gnnjax.collision import make_checker
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, _load, _within, evaluate
+from gnnjax.evaluate import EvaluateConfig, make_planner, _within, evaluate
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.planner import Planner
@@ -271,7 +271,7 @@ def test_without_ompl_it_alone_is_missing(tiny_path, problems, tmp_path, monkeyp
         evaluate(config(tiny_path, problems, tmp_path / "out.json"))
     assert not (tmp_path / "out.json").exists()
     ours = config(tiny_path, problems, tmp_path / "x.json", planner="distance", checker="fused")
-    assert isinstance(_load(ours), Planner)
+    assert isinstance(make_planner(ours), Planner)
 
 
 @pytest.mark.parametrize(

@@ -352,7 +352,7 @@ def test_a_checkpoint_of_another_version_is_refused(network, tmp_path):
 
 
 def test_a_folder_without_a_checkpoint_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"no checkpoint folder .*; train one .* \['kuka_iiwa14'"):
+    with pytest.raises(InputError, match=r"no checkpoint folder .*; train one .* \['kinova_gen3',"):
         load_network(tmp_path / "missing")
     with pytest.raises(InputError, match="is damaged or no checkpoint"):
         load_network(tmp_path)
