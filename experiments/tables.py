@@ -74,5 +74,5 @@ def seconds(value: float | None) -> str:
         return "always"
     for unit, scale in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         if value >= scale:
-            return f"{value / scale:.2g} {unit}"
-    return f"{value:.2g} s"
+            return f"{value / scale:.3g} {unit}"
+    return f"{value:.3g} s"

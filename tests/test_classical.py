@@ -14,7 +14,7 @@ from gnnjax.certify import certify_path, configuration_clearance
 from gnnjax.classical import ClassicalPlanner
 from gnnjax.collision import make_checker
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, make_planner, _within, evaluate
+from gnnjax.evaluate import EvaluateConfig, _within, evaluate, make_planner
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.planner import Planner
