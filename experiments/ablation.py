@@ -26,6 +26,7 @@ import numpy as np
 import tyro
 from flax import nnx
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from experiments.cases import own_case
 from experiments.measure import (
@@ -46,6 +47,7 @@ from gnnjax.train import PRESETS, TrainConfig, train
 CLAIM = "Every part of the network saves edge checks."
 
 _BATCH_SIZE = 10  # divides all numbers of training problems
+_WITHOUT_NETWORK = {"distance to the goal": "distance", "exact cost-to-go": "oracle"}
 _PAPER_NETWORK = {"geometric_features": False, "workspace_points": 0, "validity_weight": 0.0}
 
 
@@ -74,9 +76,10 @@ def variants(config: AblationConfig) -> dict[str, dict[str, Any]]:
         found[network] = base
         for part in get_args(Part):
             found[f"{network} without {part}"] = base | {"without": (part,)}
-    found["default without workspace points"] = {"workspace_points": 0}
-    for num in config.fewer_roadmaps:
-        found[f"default, {num} problems"] = {"num_roadmaps": num}
+        if network == "default":
+            found["default without workspace points"] = {"workspace_points": 0}
+            for num in config.fewer_roadmaps:
+                found[f"default, {num} problems"] = {"num_roadmaps": num}
     found["paper's network and training"] = {"preset": "paper", "batch_size": 1}
     return found
 
@@ -110,9 +113,10 @@ def _rows(config: AblationConfig) -> Iterator[dict[str, Any]]:
         made = own_case(path, robot, planner, config.num_nodes, config.num_problems)
         return dataclasses.replace(made, max_roadmaps=1, **changes)
 
-    chosen = variants(config)
+    chosen, others = variants(config), dict(_WITHOUT_NETWORK)
     if config.quick:  # compiling all of them takes minutes
         chosen = dict(itertools.islice(chosen.items(), 2))
+        del others["exact cost-to-go"]
     data = _training_data(config, robot)
     for name, changes in chosen.items():
         training = _training(config, name, data, robot, changes)
@@ -126,7 +130,7 @@ def _rows(config: AblationConfig) -> Iterator[dict[str, Any]]:
             **measure(cases[name], config.seeds, config.runs),
             "difference": _difference(config, cases[name], cases[full_network(name)]),
         }
-    for name, planner in {"distance to the goal": "distance", "exact cost-to-go": "oracle"}.items():
+    for name, planner in others.items():
         yield {
             "variant": f"no network, {name}",
             **measure(case(planner), config.seeds, config.runs),
@@ -206,7 +210,7 @@ def _difference(config: AblationConfig, ours: EvaluateConfig, full: EvaluateConf
 PANELS = (
     ("edge_checks", "edge checks", 1.0, True),
     ("success", "solved on the first roadmap [%]", 100.0, False),
-    ("cost", "path cost [rad]", 1.0, False),
+    ("cost", "path cost [rad]", 1.0, True),
 )
 
 
@@ -224,14 +228,15 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
             )
             spread = np.maximum([mean - low, high - mean], 0.0)
             panel.errorbar(
-                mean, at[there], xerr=spread, fmt="o", color=color, capsize=2, label=stratum
+                mean, at[there], xerr=spread, fmt=".", color=color, capsize=2, label=stratum
             )
         panel.set(title=title)
         panel.grid(axis="x", alpha=0.3)
         if logarithmic:
             panel.set_xscale("log")
-            panel.set_xticks((5, 10, 20, 50), ("5", "10", "20", "50"))
-            panel.minorticks_off()
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            panel.xaxis.set_minor_locator(NullLocator())
     axes[0].set_yticks(at, [_line_name(row) for row in rows])
     axes[0].legend()
     figure.suptitle(
