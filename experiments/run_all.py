@@ -15,7 +15,7 @@ from rich.console import Console
 
 from experiments import ablation, crossover, failures, figure5, figure7, hard, report
 from experiments.measure import ExperimentConfig
-from gnnjax.errors import run_command
+from gnnjax.errors import InputError, run_command
 
 # In the order in which they share runs: crossover, hard and failures read those of figure5.
 EXPERIMENTS: dict[str, tuple[type[ExperimentConfig], Callable]] = {
@@ -38,6 +38,9 @@ class RunAllConfig(ExperimentConfig):
 
 def run(config: RunAllConfig) -> None:
     """Runs the experiments one after the other, then writes the texts."""
+    unknown = [name for name in config.only if name not in EXPERIMENTS]
+    if unknown:
+        raise InputError(f"no experiment {unknown[0]!r}; there are {list(EXPERIMENTS)}")
     shared = {f.name: getattr(config, f.name) for f in dataclasses.fields(ExperimentConfig)}
     console = Console()
     for name in config.only:

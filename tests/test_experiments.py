@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from experiments import crossover, failures, figure5, figure7, hard, measure
+from experiments import crossover, failures, figure5, figure7, hard, measure, run_all
 from experiments.cases import CLASSICAL
 from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
@@ -69,6 +69,13 @@ def test_quick_forms_write_results_and_figures_and_go_on(
         assert (config.results / f"{name}.png").stat().st_size > 10_000
     # Each case was evaluated once, whoever asked for it.
     assert len(set(planned)) == len(planned)
+
+    # One command for all of them; what was measured is not measured again.
+    planned.clear()
+    folders = {key: folder / key for key in ("data", "runs", "results")}
+    only = ("crossover", "failures")
+    run_all.run(run_all.RunAllConfig(quick=True, robot=str(tiny_path), only=only, **folders))
+    assert not planned
 
     # Killed in the middle of one case, before the results of the others were written.
     times = (folder / "results" / "figure5.json").read_text()
@@ -252,3 +259,10 @@ def test_failures_are_those_of_the_rows():
     assert measured["swinging"]["mean"] == measured["reversals"]["mean"] == pytest.approx(1 / 2)
     assert measured["failure_end_in_voxel"]["mean"] == 0
     assert measured["failure_ends_clear_of_voxels"]["mean"] == 1
+
+
+def test_one_command_runs_all_experiments_there_are():
+    scripts = {path.stem for path in Path("experiments").glob("*.py")}
+    assert scripts >= set(run_all.EXPERIMENTS) >= set(EXPERIMENTS)
+    with pytest.raises(InputError, match="no experiment 'figure6'; there are"):
+        run_all.run(run_all.RunAllConfig(only=("figure6",)))
