@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gnnjax.errors import InputError, atomic_write
-from gnnjax.evaluate import EvaluateConfig, describe_machine, evaluate, make_planner
+from gnnjax.evaluate import QUANTITIES, EvaluateConfig, describe_machine, evaluate, make_planner
 from gnnjax.generate import GenerateConfig, generate
 
 # Of the files in `results/`; raised when what they hold changes its meaning.
@@ -25,16 +25,6 @@ FORMAT = 1
 SEEDS = (0, 1, 2)
 _RESAMPLES = 2000  # of the bootstrap
 
-# What is summed up, and whether problems without a path count.
-QUANTITIES = {
-    "edge_checks": True,
-    "configuration_checks": True,
-    "sampling_checks": True,
-    "search_checks": True,
-    "planning_time_s": True,
-    "total_time_s": True,
-    "cost": False,
-}
 SHARES = ("success", "success_first_roadmap", "certified")
 
 

@@ -40,7 +40,7 @@ FORMAT = 2
 _WRITE_EVERY_S = 1.0
 
 # What is summed up over problems, and whether problems without a path count.
-_QUANTITIES = {
+QUANTITIES = {
     "edge_checks": True,
     "configuration_checks": True,
     "sampling_checks": True,
@@ -203,7 +203,7 @@ def _plan_missing(
 def _row(index: int, plan: Plan | None, invalid: str, hard: bool, checking: float) -> dict:
     """The result of one problem; `plan` is None for an invalid problem."""
     if plan is None:
-        zeros = {name: 0 for name in _QUANTITIES if name != "cost"}
+        zeros = {name: 0 for name in QUANTITIES if name != "cost"}
         return {
             "index": index,
             "valid": False,
@@ -276,7 +276,7 @@ def summarize(rows: list[dict]) -> dict[str, Any]:
             "certified": sum(row["certified"] for row in chosen) / num if num else None,
             "success_first_roadmap": len(first) / num if num else None,
         }
-        for name, failures_count in _QUANTITIES.items():
+        for name, failures_count in QUANTITIES.items():
             rows_counted = chosen if failures_count else solved
             values = [row[name] for row in rows_counted if row[name] is not None]
             part[name] = (
