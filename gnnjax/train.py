@@ -284,8 +284,8 @@ def train(config: TrainConfig) -> Path:
 
 def _check_config(config: TrainConfig) -> None:
     """Refuses numbers that nothing can be trained with, before anything is computed."""
-    least = dict.fromkeys(("epochs", "validate_every", "validation_problems", "max_walk"), 1)
-    least |= {"num_dof": 1, "channels": 4, "workspace_points": 0, "temperature": 0}
+    least = dict.fromkeys(("epochs", "validate_every", "max_walk", "num_dof"), 1)
+    least |= {"channels": 4, "validation_problems": 0, "workspace_points": 0, "temperature": 0}
     least |= {"learning_rate": 0, "weight_decay": 0, "validity_weight": 0}
     for name, bound in least.items():
         value = getattr(config, name)

@@ -264,7 +264,7 @@ def test_a_run_of_one_step_has_an_optimizer():
     [
         ({"epochs": 0}, "epochs is 0; it must be at least 1"),
         ({"validate_every": 0}, "validate_every is 0"),
-        ({"validation_problems": 0}, "validation_problems is 0"),
+        ({"validation_problems": -1}, "validation_problems is -1"),
         ({"max_walk": -3}, "max_walk is -3"),
         ({"channels": 0}, "channels is 0; it must be at least 4"),
         ({"channels": 6}, "channels is 6; it must be a multiple of 4"),
