@@ -101,7 +101,7 @@ def run(config: AblationConfig) -> None:
             seeds=config.seeds[:1],
         )
     rows = save_results(config, "ablation", CLAIM, _rows(config))
-    draw(rows, config.results / "ablation.png")
+    draw(rows, config.out / "ablation.png")
 
 
 def _rows(config: AblationConfig) -> Iterator[dict[str, Any]]:

@@ -95,7 +95,7 @@ def run(config: CrossoverConfig) -> None:
         marks_s=marks,
         crossovers=crossovers(timed),
     )
-    draw([row for row in rows if row["set"] == "test"], marks, config.results / "crossover.png")
+    draw([row for row in rows if row["set"] == "test"], marks, config.out / "crossover.png")
 
 
 def read(config: CrossoverConfig, robot: str, name: str, path: Path) -> list[Timed]:

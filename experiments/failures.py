@@ -68,7 +68,7 @@ def run(config: FailuresConfig) -> None:
     touches = ends_in_voxels(path, robot, config.num_problems)
     grid = {"problems": len(touches), "start_or_goal_in_a_voxel": float(touches.mean())}
     rows = save_results(config, "failures", CLAIM, _rows(config, robot, path, touches), grid=grid)
-    draw(rows, config.results / "failures.png")
+    draw(rows, config.out / "failures.png")
 
 
 def _rows(

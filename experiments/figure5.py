@@ -53,7 +53,7 @@ def run(config: Figure5Config) -> None:
             config, num_nodes=(30,), num_problems=3, seeds=config.seeds[:1]
         )
     rows = save_results(config, "figure5", CLAIM, _rows(config), paper=PAPER)
-    draw([row for row in rows if row["set"] == "test"], config.results / "figure5.png")
+    draw([row for row in rows if row["set"] == "test"], config.out / "figure5.png")
 
 
 def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:

@@ -51,7 +51,7 @@ def run(config: Figure7Config) -> None:
     if config.quick:
         config = dataclasses.replace(config, num_nodes=30, num_problems=3, seeds=config.seeds[:1])
     rows = save_results(config, "figure7", CLAIM, _rows(config), paper=PAPER)
-    draw(rows, config.results / "figure7.png")
+    draw(rows, config.out / "figure7.png")
 
 
 def cases(config: Figure7Config) -> dict[str, EvaluateConfig]:

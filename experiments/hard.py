@@ -82,7 +82,7 @@ def run(config: HardConfig) -> None:
         )
     robot = config.robot or "kuka_iiwa14"
     rows = save_results(config, "hard", CLAIM, _rows(config, robot))
-    draw(rows, config.results / "hard.png")
+    draw(rows, config.out / "hard.png")
 
 
 def _rows(config: HardConfig, robot: str) -> Iterator[dict[str, Any]]:

@@ -42,8 +42,13 @@ class ExperimentConfig:
     """Where problem sets are, and are generated if they are missing."""
     runs: Path = Path("runs/evaluate")
     """Where the results of single problems go."""
-    results: Path = Path("results")
-    """Where the JSON and the figure go."""
+    results: Path | None = None
+    """Where the JSON and the figure go; by default results, and runs/quick with --quick."""
+
+    @property
+    def out(self) -> Path:
+        """The folder of the JSON and the figure: a quick look leaves the real results alone."""
+        return self.results or Path("runs/quick" if self.quick else "results")
 
 
 def problem_set(
@@ -211,7 +216,7 @@ def save_results(
         lines = ",\n".join(json.dumps(each, allow_nan=False) for each in done)
         text = f'{json.dumps({**head, **more}, allow_nan=False)[:-1]}, "rows": [\n{lines}\n]}}\n'
         atomic_write(
-            config.results / f"{name}.json", lambda f, t=text: f.write_text(t, encoding="utf-8")
+            config.out / f"{name}.json", lambda f, t=text: f.write_text(t, encoding="utf-8")
         )
     return done
 

@@ -4,7 +4,7 @@
 
 Problem sets, and networks that are not shipped, are made where they are missing. What was measured
 before is kept, in `runs/`, so that the command goes on where it was cut off. `--quick` runs
-everything on a few problems, and writes no texts.
+everything on a few problems and writes no texts.
 """
 
 import dataclasses
@@ -48,7 +48,7 @@ def run(config: RunAllConfig) -> None:
         console.rule(name)
         experiment(make(**shared))
     if not config.quick:
-        report.run(report.ReportConfig(results=config.results))
+        report.run(report.ReportConfig(results=config.out))
 
 
 if __name__ == "__main__":

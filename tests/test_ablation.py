@@ -38,7 +38,7 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
         results=tmp_path / "results",
     )
     run(config)
-    first = (config.results / "ablation.json").read_text()
+    first = (config.out / "ablation.json").read_text()
     rows = json.loads(first)["rows"]
     assert [row["variant"] for row in rows] == [
         "default",
@@ -47,7 +47,7 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
     ]
     assert rows[0]["difference"]["edge_checks"]["mean"] == 0
     assert rows[1]["num_weights"] < rows[0]["num_weights"]
-    assert (config.results / "ablation.png").stat().st_size > 1000
+    assert (config.out / "ablation.png").stat().st_size > 1000
     monkeypatch.setattr("experiments.ablation.train", None)
     run(config)
-    assert (config.results / "ablation.json").read_text() == first  # nothing was run again
+    assert (config.out / "ablation.json").read_text() == first  # nothing was run again

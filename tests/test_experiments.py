@@ -66,7 +66,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(
         assert results["claim"]
         assert {row["planner"] for row in results["rows"]} == planners
         assert all("python -m gnnjax.evaluate" in row["command"] for row in results["rows"])
-        assert (config.results / f"{name}.png").stat().st_size > 10_000
+        assert (config.out / f"{name}.png").stat().st_size > 10_000
     # Each case was evaluated once, whoever asked for it.
     assert len(set(planned)) == len(planned)
 
@@ -259,6 +259,12 @@ def test_failures_are_those_of_the_rows():
     assert measured["swinging"]["mean"] == measured["reversals"]["mean"] == pytest.approx(1 / 2)
     assert measured["failure_end_in_voxel"]["mean"] == 0
     assert measured["failure_ends_clear_of_voxels"]["mean"] == 1
+
+
+def test_a_quick_look_leaves_the_real_results_alone():
+    assert ExperimentConfig().out == Path("results")
+    assert ExperimentConfig(quick=True).out == Path("runs/quick")
+    assert ExperimentConfig(quick=True, results=Path("here")).out == Path("here")
 
 
 def test_one_command_runs_all_experiments_there_are():
