@@ -124,7 +124,7 @@ def command(case: EvaluateConfig) -> str:
         if field.name == "json":
             value = Path("out.json")
         if value != field.default and field.name != "seed":
-            words += [f"--{field.name.replace('_', '-')}", str(value)]
+            words += [f"--{field.name.replace('_', '-')}", *([] if value is True else [str(value)])]
     return shlex.join(words)
 
 

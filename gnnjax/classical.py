@@ -1,12 +1,14 @@
 """Sampling-based planners of OMPL, the Open Motion Planning Library, as baselines.
 
 They see the same robot, joint limits and validity as our own planners, stop at the first path, and
-are counted the same way: a `Ledger` stands between OMPL and the collision checks. OMPL is an
-optional extra, imported when the first planner is made; docs/ompl.md has its parameters and limits.
+are counted the same way: a `Ledger` stands between OMPL and the collision checks. On request, OMPL
+simplifies that path. It is an optional extra, imported when the first planner is made; docs/ompl.md
+has its parameters and limits.
 """
 
 import functools
 import importlib.metadata
+import itertools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -49,6 +51,8 @@ _CLASSES = {
 }
 # EIT* tests points of its edges as configurations and never asks about a motion.
 _WITHOUT_EDGES = ("ompl:eit_star",)
+# Simplifying stops so long before the time limit, so that a path that was found is not late.
+_CLOSING_S = 0.02
 
 
 class ClassicalPlanner:
@@ -64,6 +68,7 @@ class ClassicalPlanner:
         checker: str = "fused",
         resolution: float = EDGE_RESOLUTION,
         time_limit: float = 5.0,
+        simplify: bool = False,
     ):
         """Args:
         robot: the arm, name of a shipped one, or path of an MJCF.
@@ -72,6 +77,7 @@ class ClassicalPlanner:
             configuration is one call of MuJoCo's C engine).
         resolution: largest distance of neighbouring configurations along an edge, rad or m.
         time_limit: seconds after which a query is given up.
+        simplify: whether OMPL's path simplifier goes over the path, in what is left of the time.
         """
         if method not in _CLASSES:
             raise InputError(f"no planner {method!r}; there are {list(_CLASSES)}")
@@ -92,6 +98,7 @@ class ClassicalPlanner:
         self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
         self.method, self.checker = method, checker
         self.resolution, self.time_limit = resolution, time_limit
+        self.simplify = simplify
 
     def check_query(
         self, scene: Scene, start: ArrayLike, goal: ArrayLike
@@ -102,9 +109,9 @@ class ClassicalPlanner:
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
         """Plans P problems one after the other.
 
-        The planning time is that of OMPL's `solve`; the total adds setting it up. Whether the path
-        holds between the configurations tested is found out afterwards, for the record and in
-        nobody's time: a path can be a success and not `certified`.
+        The planning time is that of OMPL's `solve` and of simplifying; the total adds setting up.
+        Whether the path holds between the configurations tested is found out afterwards, for the
+        record and in nobody's time: a path can be a success and not `certified`.
 
         Args:
             problems: `[P, ...]`, which `check_query` accepts.
@@ -137,8 +144,11 @@ class ClassicalPlanner:
         path = np.zeros((0, self.robot.num_dof), np.float32)
         if success:
             solution = definition.getSolutionPath()
-            states = [solution.getState(i) for i in range(solution.getStateCount())]
-            path = np.stack([setting.read(state) for state in states])
+            path = np.stack([setting.read(state) for state in _states(solution)])
+            if self.simplify:
+                ledger.deadline = begin + self.time_limit - _CLOSING_S
+                path = self._simplified(setting, ledger, solution, path)
+                end = time.perf_counter()
         asked = self.method not in _WITHOUT_EDGES
         return Plan(
             success=success,
@@ -155,6 +165,37 @@ class ClassicalPlanner:
             roadmaps=1,
         )
 
+    def _simplified(
+        self, setting: "_Setting", ledger: Ledger, solution: Any, path: np.ndarray
+    ) -> np.ndarray:
+        """What OMPL's `SimpleSetup.simplifySolution` makes of a path.
+
+        OMPL moves the ends of edges along them and does not test what is left of an edge again, so
+        here every edge is asked for once more; most are known.
+
+        Args:
+            setting: of the query.
+            ledger: of the query, with a deadline.
+            solution: OMPL's path; changed in place.
+            path: its configurations; the answer where an edge of the simplified path does not hold
+                at our resolution, or the time did not suffice.
+        """
+        definition = setting.definition
+        simplifier = self._ompl.geometric.PathSimplifier(
+            setting.information, definition.getGoal(), definition.getOptimizationObjective()
+        )
+        left = ledger.deadline - time.perf_counter()
+        if left <= 0:
+            return path
+        # False: not even the first round goes on after the limit.
+        simplifier.simplify(solution, left, False)
+        states = _states(solution)
+        simplified = np.stack([setting.read(state) for state in states])
+        if ledger.cut_off or np.array_equal(simplified, path):
+            return path
+        holds = all(itertools.starmap(setting.join, itertools.pairwise(states)))
+        return simplified if holds and not ledger.cut_off else path
+
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
     def _checks_maker(self, axis_aligned: bool, max_boxes: int) -> Callable:
         """`(scene, ledger) -> (is_valid, test_edge)`, compiled for one padding of the scene."""
@@ -168,7 +209,9 @@ class _Setting(NamedTuple):
 
     planner: Any
     definition: Any
+    information: Any
     read: Callable[[Any], np.ndarray]  # the float32 configuration of a state
+    join: Callable[[Any, Any], bool]  # whether the edge between two states is valid
     kept: tuple[Any, ...]
 
 
@@ -252,8 +295,12 @@ def _set_up(
     planner = getattr(geometric, _CLASSES[owner.method])(information)
     planner.setProblemDefinition(definition)
     planner.setup()
-    kept = (space, information, validity, discrete, motions, objective, *ends)
-    return _Setting(planner, definition, read, kept)
+    kept = (space, validity, discrete, motions, objective, *ends)
+    return _Setting(planner, definition, information, read, motions.checkMotion, kept)
+
+
+def _states(path: Any) -> list[Any]:
+    return [path.getState(i) for i in range(path.getStateCount())]
 
 
 class _Ompl(NamedTuple):

@@ -81,6 +81,8 @@ class EvaluateConfig:
     """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
     time_limit: float = 5.0
     """Seconds a problem may take; a path that comes later is a failure."""
+    simplify: bool = False
+    """Let OMPL simplify the path that its planner found; not for our own planners."""
     seed: int = 0
     """Of the roadmaps, or of OMPL's random numbers."""
 
@@ -134,7 +136,12 @@ def make_planner(config: EvaluateConfig) -> Planner | ClassicalPlanner:
         raise InputError(f"no planner {config.planner!r}; there are {known}")
     limits = {"resolution": config.resolution, "time_limit": config.time_limit}
     if _is_classical(config):
-        return ClassicalPlanner(config.robot, config.planner, checker=config.checker, **limits)
+        own = {"checker": config.checker, "simplify": config.simplify}
+        return ClassicalPlanner(config.robot, config.planner, **own, **limits)
+    if config.simplify:
+        raise InputError(
+            f"simplify with planner {config.planner!r}; it is for OMPL's planners, leave it out"
+        )
     if config.checker == "mujoco":
         raise InputError(
             f"checker 'mujoco' with planner {config.planner!r}; it is for OMPL's planners, choose "
@@ -330,6 +337,9 @@ def _earlier_results(path: Path, settings: dict[str, Any]) -> list[dict]:
             f"{str(path)!r} holds results of format {version!r}, this version writes {FORMAT}; "
             "choose another --json"
         )
+    # A file from before an option was there has none of it, which is what its default says.
+    fields = dataclasses.fields(EvaluateConfig)
+    theirs = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING} | theirs
     for name, value in settings.items():
         if theirs.get(name) != value:
             raise InputError(
@@ -350,6 +360,8 @@ def print_summary(results: dict[str, Any]) -> None:
     title = settings["planner"]
     if title not in get_args(ClassicalMethod):
         title += f", {settings['num_nodes']} nodes"
+    if settings["simplify"]:
+        title += ", simplified"
     table = Table(
         "stratum", "solved", "certified", "edge checks", "configuration checks", "cost", title=title
     )

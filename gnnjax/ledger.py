@@ -3,6 +3,7 @@
 For planners that ask from outside of JAX: OMPL's call back for each configuration or edge.
 """
 
+import time
 from collections.abc import Callable
 
 import jax
@@ -17,12 +18,17 @@ from gnnjax.world import build_world, place_boxes
 
 
 class Ledger:
-    """What a query has tested; asking again about a known configuration or edge costs nothing."""
+    """What a query has tested; asking again about a known configuration or edge costs nothing.
+
+    After `deadline` nothing is tested any more. What is not known then passes for valid, since that
+    ends what OMPL is doing soonest; it is not written down, and `cut_off` tells not to believe it.
+    """
 
     def __init__(self):
         self.configurations: dict[bytes, bool] = {}
         self.edges: dict[tuple[bytes, bytes], bool] = {}
         self.sampling_checks = self.search_checks = self.edge_checks = 0
+        self.deadline, self.cut_off = np.inf, False  # of `time.perf_counter`
         self._along_edge = False
 
     def know(self, q: np.ndarray, test: Callable[[np.ndarray], bool]) -> bool:
@@ -30,6 +36,8 @@ class Ledger:
         key = q.tobytes()
         valid = self.configurations.get(key)
         if valid is None:
+            if not self._along_edge and self._is_over():  # an edge is tested to its end
+                return True
             valid = self.configurations[key] = test(q)
             if self._along_edge:
                 self.search_checks += 1
@@ -42,11 +50,17 @@ class Ledger:
         key = start.tobytes(), end.tobytes()
         valid = self.edges.get(key)
         if valid is None:
+            if self._is_over():
+                return True
             self.edge_checks += 1
             self._along_edge = True
             valid = self.edges[key] = self.edges[key[::-1]] = test()
             self._along_edge = False
         return valid
+
+    def _is_over(self) -> bool:
+        self.cut_off |= time.perf_counter() > self.deadline
+        return self.cut_off
 
 
 def fused_checks(robot: Robot, axis_aligned: bool, max_boxes: int, resolution: float) -> Callable:

@@ -227,6 +227,87 @@ def test_no_path_in_time_is_a_failure(robot, blocked):
     assert 0.1 < plan.total_time_s < 1.0
 
 
+@pytest.mark.parametrize("checker", CHECKERS)
+@pytest.mark.parametrize("method", PLANNERS[:3])
+def test_a_simplified_path_is_shorter_and_holds_and_its_checks_count(
+    robot, walled, planners, method, checker
+):
+    """Not PRM, whose first path is another one each time."""
+    simplifying = ClassicalPlanner(robot, method, checker=checker, simplify=True)
+    scene = jax.tree.map(lambda x: x[0], walled.scene)
+    shorter = 0
+    for seed in range(4):
+        (plain,) = planners[method, checker].plan_batch(walled, seed=seed)
+        (plan,) = simplifying.plan_batch(walled, seed=seed)
+        assert plan.success
+        assert plan.cost <= plain.cost + 1e-5
+        shorter += plan.cost < plain.cost - 1e-3
+        np.testing.assert_array_equal(plan.path[[0, -1]], [walled.start[0], walled.goal[0]])
+        assert all(holds(robot, scene, *ends, checker) for ends in itertools.pairwise(plan.path))
+        assert plan.certified == certify_path(robot, scene, plan.path)
+        for name in ("edge_checks", "sampling_checks", "search_checks", "configuration_checks"):
+            assert getattr(plan, name) >= getattr(plain, name)
+        assert plan.total_time_s > plan.planning_time_s > 0
+    assert shorter > 0
+
+
+def holds(robot, scene, start, end, checker):
+    """Tests an edge point by point, without a ledger."""
+    points = [start, *points_along(start, end, checker)]
+    return all(configuration_clearance(robot, scene, q) > 0 for q in points)
+
+
+def test_simplifying_repeats_with_its_seed(robot, walled):
+    planner = ClassicalPlanner(robot, checker="mujoco", simplify=True)
+    first, again = (planner.plan_batch(walled, seed=3)[0] for _ in range(2))
+    np.testing.assert_array_equal(first.path, again.path)
+    assert first.configuration_checks == again.configuration_checks
+
+
+def test_a_simplified_path_that_does_not_hold_is_left(robot, walled, planners, monkeypatch):
+    from ompl import geometric
+
+    def straight(simplifier, path, seconds, at_least_once):
+        """Through the walls."""
+        made = geometric.PathGeometric(path)
+        path.clear()
+        path.append(made.getState(0))
+        path.append(made.getState(made.getStateCount() - 1))
+        return True
+
+    monkeypatch.setattr(geometric.PathSimplifier, "simplify", straight)
+    planner = ClassicalPlanner(robot, "ompl:rrt_connect", checker="mujoco", simplify=True)
+    (plain,) = planners["ompl:rrt_connect", "mujoco"].plan_batch(walled)
+    (plan,) = planner.plan_batch(walled)
+    np.testing.assert_array_equal(plan.path, plain.path)
+    assert plan.edge_checks == plain.edge_checks + 1  # the edge that does not hold
+
+
+def test_simplifying_ends_with_the_time(robot, walled, planners, monkeypatch):
+    """The path that was found is then the answer, and nothing more is tested."""
+    monkeypatch.setattr("gnnjax.classical._CLOSING_S", 5.0)
+    planner = ClassicalPlanner(robot, checker="mujoco", simplify=True, time_limit=5.0)
+    (plain,) = planners["ompl:rrt_connect", "mujoco"].plan_batch(walled)
+    (plan,) = planner.plan_batch(walled)
+    np.testing.assert_array_equal(plan.path, plain.path)
+    assert plan.configuration_checks == plain.configuration_checks
+
+
+def test_a_closed_ledger_tests_nothing():
+    ledger, (start, end) = Ledger(), np.array([[0.0], [1.0]], np.float32)
+    assert ledger.know(start, lambda q: True)
+    assert ledger.know_edge(start, start, lambda: True)
+    ledger.deadline = 0.0
+    assert ledger.know(start, pytest.fail)
+    assert ledger.know_edge(start, start, pytest.fail)
+    assert not ledger.cut_off
+    ledger.know(end, pytest.fail)
+    ledger.know_edge(start, end, pytest.fail)
+    assert ledger.cut_off
+    assert (ledger.sampling_checks, ledger.edge_checks) == (1, 1)
+    assert len(ledger.configurations) == len(ledger.edges) == 1
+
+
 def test_a_path_that_comes_too_late_is_a_failure():
     row = {"success": True, "total_time_s": 2.0, "path": [[0.0]], "cost": 1.0, "certified": True}
     assert _within(row, 2.5) == row
@@ -279,6 +360,10 @@ def test_without_ompl_it_alone_is_missing(tiny_path, problems, tmp_path, monkeyp
     [
         ({"checker": "mjx"}, r"checker 'mjx' with planner 'ompl:rrt_connect'; OMPL's planners"),
         ({"planner": "lazysp"}, "checker 'mujoco' with planner 'lazysp'; it is for OMPL's"),
+        (
+            {"planner": "lazysp", "checker": "fused", "simplify": True},
+            "^simplify with planner 'lazysp'; it is for OMPL's planners, leave it out$",
+        ),
         ({"resolution": 0.0}, "resolution is 0.0; it must be at least"),
         ({"time_limit": 0.0}, "time_limit is 0.0; it must be more than 0 s"),
     ],

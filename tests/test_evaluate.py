@@ -116,6 +116,15 @@ def test_a_run_that_was_cut_off_goes_on(tiny_path, problems, results, tmp_path):
     assert without_times(resumed["problems"]) == without_times(results["problems"])
 
 
+def test_a_file_from_before_an_option_has_its_default(tiny_path, problems, results, tmp_path):
+    out = tmp_path / "old.json"
+    settings = {k: v for k, v in results["settings"].items() if k != "simplify"}
+    out.write_text(json.dumps({**results, "settings": settings}))
+    resumed = evaluate(config(tiny_path, problems, out))
+    assert resumed["problems"] == results["problems"]  # times too: nothing was redone
+    assert resumed["settings"] == results["settings"]
+
+
 def test_a_killed_run_goes_on_where_it_stopped(tiny_path, problems, results, tmp_path):
     # The six problems a hundred times, so that there is time to kill it.
     many = load_problems(problems, load_robot(tiny_path)).take(np.tile(np.arange(6), 100))

@@ -1,18 +1,21 @@
 """The experiments run, go on where they were cut off, and sum up as plain NumPy does."""
 
+import dataclasses
 import json
+import shlex
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
+import tyro
 
 from experiments import crossover, failures, figure5, figure7, hard, measure, run_all
-from experiments.cases import CLASSICAL
+from experiments.cases import CLASSICAL, classical_case
 from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
 from gnnjax.errors import InputError
-from gnnjax.evaluate import evaluate
+from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.planner import Method
 
 EXPERIMENTS = {
@@ -272,3 +275,13 @@ def test_one_command_runs_all_experiments_there_are():
     assert scripts >= set(run_all.EXPERIMENTS) >= set(EXPERIMENTS)
     with pytest.raises(InputError, match="no experiment 'figure6'; there are"):
         run_all.run(run_all.RunAllConfig(only=("figure6",)))
+
+
+def test_an_option_is_named_where_it_is_not_the_default(tmp_path):
+    plain = classical_case(tmp_path / "set.npz", "kuka_iiwa14", "ompl:rrt_connect")
+    simplified = dataclasses.replace(plain, simplify=True)
+    assert measure.slug(plain) == "set_ompl-rrt_connect_200"
+    assert measure.slug(simplified) == "set_ompl-rrt_connect_200_simplify-True"
+    words = shlex.split(measure.command(simplified))[3:]
+    assert tyro.cli(EvaluateConfig, args=words).simplify
+    assert "simplify" not in measure.command(plain)
