@@ -1,4 +1,4 @@
-"""The two arms in assets/: figures, kinematics, and what their collision spheres promise.
+"""The arms in assets/: figures, kinematics, and what their collision spheres promise.
 
 The figures below are those of the manufacturers (sources in the MJCF headers), written down a
 second time, and the kinematics are done again in NumPy, so that a slip in an MJCF shows.
@@ -23,8 +23,8 @@ class Link:
     turn: tuple[float, ...]  # w x y z, not normalized, or roll pitch yaw about fixed axes
     mass: float
     com: tuple[float, float, float]
-    inertia: tuple[float, float, float]
-    limit: float = 0.0  # rad, either way; 0 is the fixed base
+    inertia: tuple[float, ...]  # xx yy zz, or xx yy zz xy xz yz
+    limit: float | tuple[float, float] = 0.0  # rad, either way or each; 0 has no joint
     velocity: float = 0.0  # rad/s
     torque: float = 0.0  # N m
 
@@ -64,17 +64,49 @@ KINOVA = (
     Link("bracelet_link", (0, 0.10593, -0.00017505), (QUARTER, 0, 0), 0.364,
          (-0.000093, 0.000132, -0.022905), (0.000214, 0.000223, 0.00024), np.pi, 1.2218, 9),
 )
+# The last two are the hand and the closed fingers. Link 5 is two bodies, as the hull of the
+# whole fills the hollow between forearm and wrist, where the hand may go.
+PANDA = (
+    Link("link_0", (0, 0, 0), (0, 0, 0), 0.629769, (-0.041018, -0.00014, 0.049974),
+         (0.00315, 0.00388, 0.004285, 8.2904e-7, 0.00015, 8.2299e-6)),
+    Link("link_1", (0, 0, 0.333), (0, 0, 0), 4.970684, (0.003875, 0.002081, -0.04762),
+         (0.70337, 0.70661, 0.009117, -0.000139, 0.006772, 0.019169), 2.8973, 2.175, 87),
+    Link("link_2", (0, 0, 0), (-QUARTER, 0, 0), 0.646926, (-0.003141, -0.02872, 0.003495),
+         (0.007962, 0.02811, 0.025995, -0.003925, 0.010254, 0.000704), 1.7628, 2.175, 87),
+    Link("link_3", (0, -0.316, 0), (QUARTER, 0, 0), 3.228604, (0.027518, 0.039252, -0.066502),
+         (0.037242, 0.036155, 0.01083, -0.004761, -0.011396, -0.012805), 2.8973, 2.175, 87),
+    Link("link_4", (0.0825, 0, 0), (QUARTER, 0, 0), 3.587895, (-0.05317, 0.104419, 0.027454),
+         (0.025853, 0.019552, 0.028323, 0.007796, -0.001332, 0.008641),
+         (-3.0718, -0.0698), 2.175, 87),
+    Link("link_5", (-0.0825, 0.384, 0), (-QUARTER, 0, 0), 1.225946,
+         (-0.011953, 0.041065, -0.038437),
+         (0.035549, 0.029474, 0.008627, -0.002117, -0.004037, 0.000229), 2.8973, 2.61, 12),
+    Link("link_5_wrist", (0, 0, 0), (0, 0, 0), 0, (0, 0, 0), (0, 0, 0)),
+    Link("link_6", (0, 0, 0), (QUARTER, 0, 0), 1.666555, (0.060149, -0.014117, -0.010517),
+         (0.001964, 0.004354, 0.005433, 0.000109, -0.001158, 0.000341),
+         (-0.0175, 3.7525), 2.61, 12),
+    Link("link_7", (0.088, 0, 0), (QUARTER, 0, 0), 0.735522, (0.010517, -0.004252, 0.061597),
+         (0.012516, 0.010027, 0.004815, -0.000428, -0.001196, -0.000741), 2.8973, 2.61, 12),
+    Link("hand", (0, 0, 0.107), (0, 0, -np.pi / 4), 0.73, (-0.01, 0, 0.03),
+         (0.001, 0.0025, 0.0017)),
+    Link("fingers", (0, 0, 0.0584), (0, 0, 0), 0.03, (0, 0, 0), (4.75e-6, 4.75e-6, 1.5e-6)),
+)
 # fmt: on
-ARMS = {"kuka_iiwa14": KUKA, "kinova_gen3": KINOVA}
+ARMS = {"kuka_iiwa14": KUKA, "kinova_gen3": KINOVA, "franka_panda": PANDA}
 # Tool frames in the last link: position and turn.
 TOOLS = {
     "kuka_iiwa14": ((0, 0, 0.045), (1, 0, 0, 0)),
     "kinova_gen3": ((0, 0, -0.061525), (HALF_TURN, 0, HALF_TURN)),
+    "franka_panda": ((0, 0, 0.045), (1, 0, 0, 0)),
 }
-MOST_SPHERES = {"kuka_iiwa14": 50, "kinova_gen3": 50}  # of the links that move
+MOST_SPHERES = {"kuka_iiwa14": 50, "kinova_gen3": 50, "franka_panda": 50}  # of the links that move
 MOST_PAIRS = 400
 # Hulls fill the hollow in front of the wrist, which the real links do not.
-HULL_ARTEFACTS = {("link_5", "link_7")}
+HULL_ARTEFACTS = {
+    "kuka_iiwa14": {("link_5", "link_7")},
+    "kinova_gen3": set(),
+    "franka_panda": {("link_5_wrist", "link_7")},
+}
 
 
 @pytest.fixture(scope="module", params=list(ARMS))
@@ -225,14 +257,19 @@ def test_bodies_and_inertias_are_the_published_ones(model, links):
         np.testing.assert_allclose(body.ipos, link.com, atol=1e-9, err_msg=link.name)
         turn = rotation(body.iquat)  # MuJoCo may sort the principal axes
         inertia = turn @ np.diag(body.inertia) @ turn.T
-        np.testing.assert_allclose(inertia, np.diag(link.inertia), atol=1e-9, err_msg=link.name)
+        xx, yy, zz, xy, xz, yz = (*link.inertia, 0, 0, 0)[:6]
+        expected = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        np.testing.assert_allclose(inertia, expected, atol=1e-9, err_msg=link.name)
 
 
 def test_joints_have_the_published_limits(model, links):
     moving = [link for link in links if link.limit]
     assert model.njnt == model.nu == len(moving)
-    limits = np.array([link.limit for link in moving])
-    np.testing.assert_allclose(model.jnt_range, np.stack([-limits, limits], 1), atol=1e-6)
+    limits = [
+        link.limit if isinstance(link.limit, tuple) else (-link.limit, link.limit)
+        for link in moving
+    ]
+    np.testing.assert_allclose(model.jnt_range, limits, atol=1e-6)
     assert model.jnt_limited.all()
     assert (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).all()
     np.testing.assert_array_equal(model.jnt_axis, np.tile([0, 0, 1], (model.njnt, 1)))
@@ -265,6 +302,43 @@ def test_forward_kinematics_agree_with_numpy(arm, model, links):
         )
 
 
+def test_flange_of_the_panda_agrees_with_its_dh_parameters():
+    """Modified (Craig's) parameters a, d and alpha, as in the manufacturer's documentation."""
+    table = (
+        (0, 0.333, 0),
+        (0, 0, -QUARTER),
+        (0, 0.316, QUARTER),
+        (0.0825, 0, QUARTER),
+        (-0.0825, 0.384, -QUARTER),
+        (0, 0, QUARTER),
+        (0.088, 0, QUARTER),
+        (0, 0.107, 0),
+    )
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "assets" / "franka_panda.xml"))
+    data, rng = mujoco.MjData(model), np.random.default_rng(2)
+    samples = rng.uniform(*model.jnt_range.T, size=(50, model.njnt))
+    for q in (model.key("home").qpos, *samples):
+        pose = np.eye(4)
+        for (a, d, alpha), theta in zip(table, (*q, 0.0), strict=True):
+            (c, s), (ca, sa) = (np.cos(theta), np.sin(theta)), (np.cos(alpha), np.sin(alpha))
+            pose = pose @ [
+                [c, -s, 0, a],
+                [s * ca, c * ca, -sa, -d * sa],
+                [s * sa, c * sa, ca, d * ca],
+                [0, 0, 0, 1],
+            ]
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        flange = data.site("flange")
+        np.testing.assert_allclose(flange.xpos, pose[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(flange.xmat.reshape(3, 3), pose[:3, :3], atol=1e-9)
+        hand = pose[:3, :3] @ rotation((0, 0, -np.pi / 4))
+        np.testing.assert_allclose(data.body("hand").xmat.reshape(3, 3), hand, atol=1e-9)
+        np.testing.assert_allclose(
+            data.site("tool").xpos, pose[:3, 3] + 0.1034 * pose[:3, 2], atol=1e-9
+        )
+
+
 def test_spheres_enclose_the_hulls(model, hull_model, links):
     for link in links:
         centers, radii = spheres_of(model, link.name)
@@ -283,7 +357,7 @@ def test_spheres_enclose_the_hulls(model, hull_model, links):
 
 def test_spheres_are_few_and_tight(arm, model, hull_model, links):
     counts = {link.name: len(spheres_of(model, link.name)[1]) for link in links}
-    moving = [link for link in links if link.limit]
+    moving = links[1:]
     assert sum(counts[link.name] for link in moving) <= MOST_SPHERES[arm]
     assert counts[links[0].name] <= 8
     assert sum(counts[a] * counts[b] for a, b in kept_pairs(model, links)) <= MOST_PAIRS
@@ -306,7 +380,41 @@ def test_home_is_free_and_within_limits(model, hull_model, links):
         assert hull_distance(hull_model, data, pair) > 0.05, pair
 
 
-def test_excluded_links_cannot_meet(hull_model, links):
+def test_no_two_links_are_in_collision_often(model):
+    """A pair that nearly always touches would leave a planner nothing free."""
+    data, rng = mujoco.MjData(model), np.random.default_rng(3)
+    counts, samples = {}, rng.uniform(*model.jnt_range.T, size=(1000, model.njnt))
+    for q in samples:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        touching = data.contact.geom[data.contact.dist < 0]
+        for pair in {tuple(sorted(model.geom_bodyid[geoms])) for geoms in touching}:
+            counts[pair] = counts.get(pair, 0) + 1
+    assert counts, "no self-collision in any sample"
+    assert max(counts.values()) < 0.1 * len(samples), counts
+
+
+@pytest.mark.parametrize(
+    "q",
+    [
+        (0, 0, 0, -1.5708, 0, 1.5708, -0.7853),  # upright, forearm level
+        (0, 0.6, 0, -1.2, 0, 1.8, 0.785),  # reaching forward
+        (1.57, -0.4, 0, -2.4, 0, 2.0, 0.785),  # turned to the side
+        (0, 0.3, 0, -2.0, 0, 2.3, 0.785),  # the hand down at a table
+        (0.5, -0.5, 1.2, -2, 0.4, 1.6, -1),  # the elbow out
+    ],
+)
+def test_ordinary_poses_of_the_panda_are_free(q):
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "assets" / "franka_panda.xml"))
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+
+
+def test_excluded_links_cannot_meet(arm, hull_model, links):
     """Random samples only; experiments/link_distances.py searches further."""
     data, rng = mujoco.MjData(hull_model), np.random.default_rng(0)
     kept = set(kept_pairs(hull_model, links))
@@ -314,7 +422,7 @@ def test_excluded_links_cannot_meet(hull_model, links):
         (a.name, b.name)
         for i, a in enumerate(links)
         for b in links[i + 2 :]  # neighbors touch by construction
-        if (a.name, b.name) not in kept | HULL_ARTEFACTS
+        if (a.name, b.name) not in kept | HULL_ARTEFACTS[arm]
     ]
     for q in folded_configurations(hull_model, 1500, rng):
         data.qpos[:] = q

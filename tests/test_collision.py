@@ -129,7 +129,9 @@ def assert_verdicts_agree(valid, gaps):
     assert not wrong.any(), f"{wrong.sum()} disagree, C distances {gaps[wrong][:5]}"
 
 
-@pytest.mark.parametrize(("name", "rotated"), [("kinova_gen3", True), ("kuka_iiwa14", False)])
+@pytest.mark.parametrize(
+    ("name", "rotated"), [("kinova_gen3", True), ("kuka_iiwa14", False), ("franka_panda", False)]
+)
 def test_shipped_arms_match_c_engine(name, rotated):
     robot, rng = load_robot(name), np.random.default_rng(0)
     check = jax.jit(make_checker(robot, axis_aligned=not rotated).check_configurations)

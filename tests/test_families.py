@@ -115,7 +115,7 @@ def test_only_the_window_leads_through_its_wall():
         assert 0.3**2 < hole < 0.6**2
 
 
-@pytest.mark.parametrize("name", ["kuka_iiwa14", "kinova_gen3"])
+@pytest.mark.parametrize("name", ["kuka_iiwa14", "kinova_gen3", "franka_panda"])
 def test_the_reach_of_shipped_arms_is_a_ball_above_the_base(name):
     reach = arm_reach(load_robot(name))
     np.testing.assert_allclose(reach.center[:2], 0, atol=0.05)

@@ -48,7 +48,7 @@ def odd_path(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("name", ["kinova_gen3", "kuka_iiwa14", "odd"])
+@pytest.mark.parametrize("name", ["kinova_gen3", "kuka_iiwa14", "franka_panda", "odd"])
 def test_forward_kinematics_matches_mujoco(name, odd_path):
     robot = load_robot(odd_path if name == "odd" else name)
     rng = np.random.default_rng(0)

@@ -55,7 +55,7 @@ def test_a_scene_without_boxes_is_far_away(tiny_path):
     np.testing.assert_array_equal(found, 10.0)
 
 
-@pytest.mark.parametrize("name", ["kuka_iiwa14", "kinova_gen3"])
+@pytest.mark.parametrize("name", ["kuka_iiwa14", "kinova_gen3", "franka_panda"])
 def test_points_are_spread_over_the_moving_arm(name):
     robot = load_robot(name)
     points = choose_points(robot, 12)
