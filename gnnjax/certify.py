@@ -103,6 +103,14 @@ def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
     return float(body.clearance_and_need(_Boxes(scene), np.asarray(q, float)[None], still)[0][0])
 
 
+def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Distances [m] of the arm at `[B, D]` configurations to itself, `[B]`; inf without pairs."""
+    nothing = Scene(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, bool))
+    still = np.zeros((len(q), robot.num_dof))
+    body = _spheres(robot)
+    return body.clearance_and_need(_Boxes(nothing), np.asarray(q, float), still)[0]
+
+
 def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: float) -> float:
     """Least distance [m] of the arm to boxes and itself along a path, seen at samples.
 

@@ -11,7 +11,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,12 @@ from flax import nnx
 
 from gnnjax.errors import InputError
 from gnnjax.model import GuidanceNetwork
+from gnnjax.motion import MotionNetwork
+
+Network: TypeAlias = GuidanceNetwork | MotionNetwork
+_KINDS: dict[str, type[Network]] = {
+    kind.__name__: kind for kind in (GuidanceNetwork, MotionNetwork)
+}
 
 # Of what is stored; raised when an older reader could no longer make sense of it.
 FORMAT = 1
@@ -43,13 +49,19 @@ def find_weights(weights: str | Path) -> Path:
     )
 
 
-def default_weights(robot: str) -> Path:
-    """The shipped weights for a robot: its own, or those of the Kuka, which serve other arms."""
+def default_weights(robot: str, method: str) -> Path:
+    """The shipped weights for a robot and a planner.
+
+    The motion network of "guided" serves all arms. Of the guidance networks there are the robot's
+    own, or those of the Kuka, which serve other arms.
+    """
     shipped = Path(__file__).parent / "weights"
+    if method == "guided":
+        return shipped / "motion"
     return shipped / (robot if (shipped / robot).is_dir() else "kuka_iiwa14")
 
 
-def metadata(network: GuidanceNetwork, training: dict[str, Any]) -> dict[str, Any]:
+def metadata(network: Network, training: dict[str, Any]) -> dict[str, Any]:
     """What a checkpoint says of itself: enough to rebuild the network without being told anything.
 
     Args:
@@ -57,10 +69,16 @@ def metadata(network: GuidanceNetwork, training: dict[str, Any]) -> dict[str, An
         training: the configuration of the run, as JSON.
     """
     version = importlib.metadata.version("gnnjax")
-    return {"format": FORMAT, "version": version, "model": network.config, "training": training}
+    return {
+        "format": FORMAT,
+        "version": version,
+        "network": type(network).__name__,
+        "model": network.config,
+        "training": training,
+    }
 
 
-def save_network(folder: str | Path, network: GuidanceNetwork, training: dict[str, Any]) -> None:
+def save_network(folder: str | Path, network: Network, training: dict[str, Any]) -> None:
     """Writes the weights of a network; replaces the folder only when all is written.
 
     Args:
@@ -105,7 +123,7 @@ def read_metadata(folder: str | Path) -> dict[str, Any]:
     return meta
 
 
-def load_network(weights: str | Path) -> GuidanceNetwork:
+def load_network(weights: str | Path) -> Network:
     """Rebuilds a network from its checkpoint.
 
     Args:
@@ -118,7 +136,9 @@ def load_network(weights: str | Path) -> GuidanceNetwork:
     meta = read_metadata(folder)
     try:
         # Shapes alone: drawing initial weights to throw them away takes seconds.
-        blank = nnx.eval_shape(lambda: GuidanceNetwork(**meta["model"], rngs=nnx.Rngs(0)))
+        # Checkpoints that do not say are older than the second kind.
+        kind = _KINDS[meta.get("network", GuidanceNetwork.__name__)]
+        blank = nnx.eval_shape(lambda: kind(**meta["model"], rngs=nnx.Rngs(0)))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"checkpoint {str(folder)!r} describes no network of this version ({error}); "
@@ -146,7 +166,7 @@ class TrainingCheckpoints:
         settings: of the run, as JSON; a run goes on only with the same ones.
     """
 
-    def __init__(self, folder: str | Path, network: GuidanceNetwork, settings: dict[str, Any]):
+    def __init__(self, folder: str | Path, network: Network, settings: dict[str, Any]):
         self.folder = Path(folder).resolve()
         self._meta = metadata(network, settings)
         options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)

@@ -58,11 +58,10 @@ def sample_family_problem(
         check_configurations: of a `Checker` for rotated boxes.
         boxes_clear: tells for each box whether the geoms that no joint moves are clear of it.
     """
-    reach = arm_reach(robot)
 
     def attempt(number: jax.Array) -> FamilyProblem:
         keys = jax.random.split(jax.random.fold_in(key, number), 3)
-        drawn = _scaled(FAMILIES[family](keys[0]), reach)
+        drawn = draw_family_scene(keys[0], family, robot)
         check = functools.partial(check_configurations, drawn.scene)
         clear = jnp.all(boxes_clear(drawn.scene))
 
@@ -123,6 +122,11 @@ def arm_reach(robot: Robot) -> Reach:
 def _tip(robot: Robot) -> tuple[int, np.ndarray]:
     body = int(robot.geom_bodies.max())
     return body, robot.geom_centers[robot.geom_bodies == body].mean(axis=0)
+
+
+def draw_family_scene(key: jax.Array, family: str, robot: Robot) -> FamilyScene:
+    """A scene of a family made to an arm's measure; its boxes may touch the arm's base."""
+    return _scaled(FAMILIES[family](key), arm_reach(robot))
 
 
 def _scaled(drawn: FamilyScene, reach: Reach) -> FamilyScene:

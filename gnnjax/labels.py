@@ -71,7 +71,10 @@ def edge_validity(
 
 
 def cost_to_go(
-    roadmap: Roadmap, edge_cost: Float[Array, "N K"], goal: int | Int[Array, ""] = 1
+    roadmap: Roadmap,
+    edge_cost: Float[Array, "N K"],
+    goal: int | Int[Array, ""] = 1,
+    start: int | Int[Array, ""] | None = None,
 ) -> Float[Array, " N"]:
     """Cost of the cheapest way from every node to the goal, by Bellman-Ford sweeps.
 
@@ -79,9 +82,11 @@ def cost_to_go(
         roadmap: N nodes with K slots.
         edge_cost: non-negative cost of each slot's edge; inf where it cannot be used.
         goal: node to reach.
+        start: stop as soon as its cost, and those of the nodes on its way, are final; the others
+            may come out too high then.
     """
     edge_cost = jnp.where(roadmap.neighbor_mask, edge_cost, jnp.inf)
-    start = jnp.full(len(roadmap.nodes), jnp.inf).at[goal].set(0.0)
+    costs = jnp.full(len(roadmap.nodes), jnp.inf).at[goal].set(0.0)
 
     def changing(state):
         return state[1]
@@ -89,9 +94,13 @@ def cost_to_go(
     def sweep(state):
         cost, _ = state
         better = jnp.minimum(cost, jnp.min(edge_cost + cost[roadmap.neighbors], axis=1))
-        return better, jnp.any(better < cost)
+        changed = better < cost
+        if start is not None:
+            # What is dearer than the start already is not on its way.
+            changed &= better <= better[start]
+        return better, jnp.any(changed)
 
-    return jax.lax.while_loop(changing, sweep, (start, jnp.bool_(True)))[0]
+    return jax.lax.while_loop(changing, sweep, (costs, jnp.bool_(True)))[0]
 
 
 def next_slots(

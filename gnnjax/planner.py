@@ -15,13 +15,15 @@ from numpy.typing import ArrayLike
 
 from gnnjax.certify import certify_edges
 from gnnjax.checkpoint import default_weights, load_network
-from gnnjax.collision import EDGE_RESOLUTION, Backend, EdgeChecks, make_checker
+from gnnjax.collision import EDGE_RESOLUTION, EdgeChecks, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
 from gnnjax.errors import InputError, check_seed
+from gnnjax.guided_planner import GuidedPlanner
 from gnnjax.labels import cost_to_go, edge_validity, next_slots
 from gnnjax.model import GuidanceNetwork
+from gnnjax.motion import MotionNetwork
 from gnnjax.problem import Problem
-from gnnjax.query import Plan, check_limits, check_query
+from gnnjax.query import Plan, check_limits, check_planner, check_query, make_plan
 from gnnjax.roadmap import (
     Roadmap,
     SampledRoadmap,
@@ -45,58 +47,71 @@ from gnnjax.search import (
 from gnnjax.validity import edge_price
 from gnnjax.workspace import point_distances
 
-Method = Literal["gnn", "gnn_lazy", "distance", "oracle", "prm", "lazysp"]
-NETWORK_METHODS = ("gnn", "gnn_lazy")
+Method = Literal["guided", "gnn", "gnn_lazy", "distance", "oracle", "prm", "lazysp"]
+NETWORK_METHODS = ("guided", "gnn", "gnn_lazy")
 
 DEFAULT_MAX_ROADMAPS = 8
 
 
 def load_planner(
     robot: str | Path,
-    method: str = "gnn",
+    method: str = "guided",
     *,
     num_nodes: int = 200,
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS,
     weights: str | Path | None = None,
+    shorten: bool = True,
+    sampled: bool = False,
     checker: str = "fused",
     resolution: float = EDGE_RESOLUTION,
     time_limit: float = np.inf,
-) -> "Planner":
+) -> "Planner | GuidedPlanner":
     """Loads a robot, and weights where they are needed, and makes a planner.
 
     Args:
         robot: name of a shipped robot, or path of an MJCF.
-        method: "gnn" (greedy by the network's guidance values), "gnn_lazy" (lazy search for the
-            path that is cheapest by length and the network's doubts), "distance" (greedy by the
-            distance to the goal), "lazysp" (lazy shortest path), "prm" (all edges checked) or
-            "oracle" (greedy by the exact cost-to-go: a bound, not a planner).
+        method: "guided" (lazy search for the path that is cheapest by length and the motion
+            network's doubts, shortened before it is checked); "gnn" (the paper's greedy search by
+            the guidance network's values), "gnn_lazy" (lazy search with that network), "distance"
+            (greedy by the distance to the goal), "lazysp" (lazy shortest path), "prm" (all edges
+            checked) or "oracle" (greedy by the exact cost-to-go: a bound, not a planner).
         num_nodes: nodes of a roadmap, start and goal included.
-        max_roadmaps: on failure, sample a new roadmap up to this many times; 1 is the paper's way.
+        max_roadmaps: on failure, take a new roadmap up to this many times; 1 is the paper's way.
         weights: checkpoint folder of the network, or the name of shipped weights; by default those
-            of the robot, or of the Kuka, which serve any arm of up to seven joints, as in the
-            paper.
+            of the method, and for the guidance network of the robot or the Kuka.
+        shorten: see `GuidedPlanner`, like `sampled`.
+        sampled: for "guided" alone; the other planners' roadmaps always are.
         checker: collision backend, "fused" or "mjx".
         resolution: largest distance of neighbouring configurations tested along an edge, rad or m.
         time_limit: after this many seconds no further roadmap is begun.
     """
     loaded = load_robot(robot)
+    options: dict[str, Any] = {
+        "checker": checker,
+        "resolution": resolution,
+        "time_limit": time_limit,
+    }
     network = None
     if method in NETWORK_METHODS:
-        network = load_network(default_weights(loaded.name) if weights is None else weights)
-    return Planner(
-        loaded,
-        method,
-        num_nodes,
-        max_roadmaps,
-        network=network,
-        checker=checker,
-        resolution=resolution,
-        time_limit=time_limit,
-    )
+        network = load_network(default_weights(loaded.name, method) if weights is None else weights)
+        wanted = MotionNetwork if method == "guided" else GuidanceNetwork
+        if not isinstance(network, wanted):
+            raise InputError(
+                f"planner {method!r} takes a {wanted.__name__}, and {str(weights)!r} is a "
+                f"{type(network).__name__}; name other weights"
+            )
+    if isinstance(network, MotionNetwork):
+        return GuidedPlanner(
+            loaded, network, num_nodes, max_roadmaps, shorten=shorten, sampled=sampled, **options
+        )
+    return Planner(loaded, method, num_nodes, max_roadmaps, network=network, **options)
 
 
 class Planner:
-    """Plans queries for one robot. Compiles on the first query and keeps the result on disk."""
+    """Plans queries for one robot on roadmaps of checked nodes.
+
+    Compiles on the first query and keeps the result on disk.
+    """
 
     def __init__(
         self,
@@ -110,18 +125,13 @@ class Planner:
         resolution: float = EDGE_RESOLUTION,
         time_limit: float = np.inf,
     ):
-        if method not in get_args(Method):
+        if method not in get_args(Method) or method == "guided":
             raise InputError(f"no planner {method!r}; there are {list(get_args(Method))}")
-        if checker not in get_args(Backend):
-            raise InputError(f"no checker {checker!r}; there are {list(get_args(Backend))}")
-        if num_nodes < 2:
-            raise InputError(f"num_nodes is {num_nodes}; a roadmap needs at least start and goal")
-        if max_roadmaps < 1:
-            raise InputError(f"max_roadmaps is {max_roadmaps}; it must be at least 1")
+        check_planner(checker, num_nodes, max_roadmaps)
         check_limits(resolution, time_limit)
         if (method in NETWORK_METHODS) != (network is not None):
             raise InputError(
-                f"planner {method!r} with network {network}; {list(NETWORK_METHODS)} take one, "
+                f"planner {method!r} with network {network}; 'gnn' and 'gnn_lazy' take one, "
                 "and only they"
             )
         if method == "gnn_lazy" and network is not None and not network.validity_head:
@@ -198,32 +208,21 @@ class Planner:
             active &= total_time <= self.time_limit
             if not active.any():
                 break
-        plans = []
-        for i, path in enumerate(paths):
-            success = path is not None
-            nodes = np.zeros((0, self.robot.num_dof), np.float32) if path is None else path
-            plans.append(
-                Plan(
-                    success=success,
-                    reason=""
-                    if success
-                    else f"no path in the {roadmaps[i]} roadmaps tried "
-                    f"({self.num_nodes} nodes, radius {self.radius:.2f})",
-                    path=nodes,
-                    cost=float(np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum())
-                    if success
-                    else np.inf,
-                    certified=success,
-                    edge_checks=int(edge_checks[i]),
-                    configuration_checks=int(sampling_checks[i] + search_checks[i]),
-                    sampling_checks=int(sampling_checks[i]),
-                    search_checks=int(search_checks[i]),
-                    planning_time_s=float(planning_time[i]),
-                    total_time_s=float(total_time[i]),
-                    roadmaps=int(roadmaps[i]),
-                )
+        return [
+            make_plan(
+                path,
+                f"no path in the {roadmaps[i]} roadmaps tried ({self.num_nodes} nodes, "
+                f"radius {self.radius:.2f})",
+                self.robot.num_dof,
+                edge_checks=int(edge_checks[i]),
+                sampling_checks=int(sampling_checks[i]),
+                search_checks=int(search_checks[i]),
+                planning_time_s=float(planning_time[i]),
+                total_time_s=float(total_time[i]),
+                roadmaps=int(roadmaps[i]),
             )
-        return plans
+            for i, path in enumerate(paths)
+        ]
 
     def check_query(
         self, scene: Scene, start: ArrayLike, goal: ArrayLike

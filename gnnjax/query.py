@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.certify import configuration_clearance
-from gnnjax.collision import boxes_clear
+from gnnjax.collision import Backend, boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.robot import Robot
 from gnnjax.scene import Scene
@@ -73,6 +73,39 @@ def check_query(
             )
         ends.append(q)
     return ends[0], ends[1]
+
+
+def make_plan(path: np.ndarray | None, reason: str, num_dof: int, **costs: Any) -> Plan:
+    """The plan of a planner that certifies its paths.
+
+    Args:
+        path: `[L D]` configurations; None without success.
+        reason: why there is no path.
+        num_dof: D.
+        costs: the other fields of `Plan`, all configuration checks apart.
+    """
+    success = path is not None
+    nodes = np.zeros((0, num_dof), np.float32) if path is None else path
+    length = float(np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum())
+    return Plan(
+        success=success,
+        reason="" if success else reason,
+        path=nodes,
+        cost=length if success else np.inf,
+        certified=success,
+        configuration_checks=costs["sampling_checks"] + costs["search_checks"],
+        **costs,
+    )
+
+
+def check_planner(checker: str, num_nodes: int, max_roadmaps: int) -> None:
+    """Refuses what no planner on roadmaps can work with."""
+    if checker not in get_args(Backend):
+        raise InputError(f"no checker {checker!r}; there are {list(get_args(Backend))}")
+    if num_nodes < 2:
+        raise InputError(f"num_nodes is {num_nodes}; a roadmap needs at least start and goal")
+    if max_roadmaps < 1:
+        raise InputError(f"max_roadmaps is {max_roadmaps}; it must be at least 1")
 
 
 def check_limits(resolution: float, time_limit: float) -> None:

@@ -89,11 +89,34 @@ def connect(
         radius: largest length of an edge, configuration units.
         num_slots: K.
     """
+
+    def within(squared: jax.Array) -> jax.Array:
+        return (squared <= jnp.square(radius)) & ~jnp.eye(len(nodes), dtype=bool)
+
+    return connect_where(nodes, node_mask, within, num_slots)
+
+
+def connect_where(
+    nodes: Float[Array, "N D"],
+    node_mask: Bool[Array, " N"],
+    joined: Callable[[Float[Array, "N N"]], Bool[Array, "N N"]],
+    num_slots: int,
+) -> Roadmap:
+    """Connects the pairs of nodes that a rule names.
+
+    A node with more neighbours than slots keeps the nearest, and the others forget it too.
+
+    Args:
+        nodes: configurations; 0 is the start, 1 the goal.
+        node_mask: false on padding.
+        joined: from all squared distances to the pairs, symmetric, no node with itself.
+        num_slots: K.
+    """
     num = len(nodes)
     # Differences rather than a matrix product: exactly symmetric, and no cancellation.
     squared = sum((nodes[:, None, d] - nodes[None, :, d]) ** 2 for d in range(nodes.shape[1]))
-    pair = node_mask[:, None] & node_mask[None, :] & ~jnp.eye(num, dtype=bool)
-    within = pair & (squared <= jnp.square(radius))
+    squared = jnp.asarray(squared)
+    within = node_mask[:, None] & node_mask[None, :] & joined(squared)
     num_slots = min(num_slots, num)
     # Without the barrier XLA:CPU takes this for a full sort once its results are used, which is
     # eighteen times slower at a thousand nodes.

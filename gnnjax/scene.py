@@ -125,6 +125,18 @@ def pad_scene(scene: Scene, max_boxes: int) -> Scene:
     )
 
 
+def pad_boxes(scene: Scene, max_boxes: int) -> Scene:
+    """`pad_scene` inside of compiled functions: room for `max_boxes`, existing boxes as before."""
+    pad = max_boxes - scene.mask.shape[-1]
+    identity = jnp.tile(jnp.array(_IDENTITY_QUAT), (pad, 1))
+    return Scene(
+        jnp.pad(scene.centers, ((0, pad), (0, 0))),
+        jnp.pad(scene.half_extents, ((0, pad), (0, 0)), constant_values=0.1),
+        jnp.concatenate([scene.quats, identity]),
+        jnp.pad(scene.mask, (0, pad)),
+    )
+
+
 def is_axis_aligned(scene: Scene) -> bool:
     """Whether no existing box of the scene, or batch of scenes, is rotated (host side)."""
     quats = np.asarray(scene.quats)[np.asarray(scene.mask)]

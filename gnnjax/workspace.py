@@ -6,6 +6,7 @@ checker tests dozens of spheres.
 
 import functools
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from gnnjax.scene import Scene, rotation_matrices
 
 # What boxes that do not exist are away from everything, and what a scene without boxes is, m.
 _NOTHING_NEAR = 10.0
+_SELF_FAR = 1.0  # m; the arm's distance to itself counts up to this
 
 
 @functools.cache
@@ -74,6 +76,50 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
         return jnp.stack([jnp.sqrt(squared) + depth for squared, depth in found], axis=-1)
 
     return distances
+
+
+class ArmView(NamedTuple):
+    """What a network reads of the arm at a configuration."""
+
+    # m, of P points to the nearest box, less the arm's thickness there; then of the arm to itself.
+    clearance: Float[Array, "*batch Q"]
+    points: Float[Array, "*batch P 3"]  # m, where the points are
+
+
+def arm_view(robot: Robot, num: int) -> Callable[[Scene, jax.Array], ArmView]:
+    """Makes the function `(scene, q [B D]) -> ArmView [B]` of `num` points of an arm, Q = P + 1.
+
+    The distance of the arm to itself is that of the nearest pair of the points whose links can
+    touch each other.
+    """
+    points = choose_points(robot, num)
+    radii = robot.geom_radii[list(points)]
+    distances = point_distances(robot, num)
+    bodies = robot.geom_bodies
+    can_touch = {frozenset(pair) for pair in bodies[robot.self_pairs].tolist()}
+    pairs = [
+        (i, j)
+        for i, first in enumerate(points)
+        for j, second in enumerate(points[:i])
+        if frozenset((int(bodies[first]), int(bodies[second]))) in can_touch
+    ]
+
+    def view(scene: Scene, q: Float[Array, "B D"]) -> ArmView:
+        frames = body_frames(robot, joint_terms(robot, q))
+        where = [
+            transform(*frames[bodies[g]], robot.geom_centers[g].tolist()) for g in points
+        ]  # P points of 3 arrays
+        to_itself = jnp.full(q.shape[:1], _SELF_FAR, q.dtype)
+        for i, j in pairs:
+            apart = subtract(where[i], where[j])
+            gap = jnp.sqrt(dot(apart, apart) + 1e-12) - float(radii[i] + radii[j])
+            to_itself = jnp.where(gap < to_itself, gap, to_itself)
+        to_boxes = distances(scene, q) - jnp.asarray(radii, q.dtype)
+        stacked = [jnp.stack([jnp.broadcast_to(x, q.shape[:1]) for x in p], -1) for p in where]
+        clearance = jnp.concatenate([to_boxes, to_itself[:, None]], axis=-1)
+        return ArmView(clearance, jnp.stack(stacked, axis=-2))
+
+    return view
 
 
 def _nearer(

@@ -1,0 +1,332 @@
+"""Trains the motion network, the default planner's guide: `python -m gnnjax.train_motion`.
+
+There is no data set. Every step draws scenes of all kinds, motions of the arms in them, and tests
+these with the collision checker, all on the device; no scene is ever seen twice.
+"""
+
+import dataclasses
+import functools
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import tyro
+from flax import nnx
+from jaxtyping import Array, Bool, Float
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from gnnjax.checkpoint import TrainingCheckpoints, save_network
+from gnnjax.collision import boxes_clear, make_checker
+from gnnjax.compilation import cache_compilations, over_problems
+from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
+from gnnjax.families import FAMILIES
+from gnnjax.family_problem import draw_family_scene
+from gnnjax.motion import MotionNetwork, make_prices
+from gnnjax.robot import Robot, load_robot
+from gnnjax.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
+from gnnjax.workspace import ArmView, arm_view
+
+_MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
+_PAPER_SHARE = 0.5  # of the scenes; the families share the rest
+_FREE_SHARE = 0.8  # of the motions: begin at a free configuration
+# Lengths of motions, rad, and how many are of each kind: none at all, as for nodes; pieces as they
+# are looked at; and longer pieces, as of very long motions.
+_LENGTHS = ((0.0, 0.0, 0.1), (0.1, 0.7, 0.6), (0.6, 1.5, 0.3))
+_EDGE_LENGTHS = (1.5, 4.0)  # rad, of the motions that validation looks at, like a roadmap's edges
+_VALIDATION_STEPS = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainMotionConfig:
+    """Train a motion network on scenes and motions drawn without end."""
+
+    robots: tuple[str, ...] = ("kuka_iiwa14", "kinova_gen3")
+    """Arms that take turns: shipped ones, or paths of MJCF files."""
+    out: Path = Path("runs/motion")
+    """Checkpoints, log and, at the end, the weights go here."""
+    resume: bool = False
+    """Go on from the last checkpoint in `out`."""
+    seed: int = 0
+    """Of weights and data."""
+    steps: int = 3000
+    """Batches."""
+    scenes: int = 16
+    """Scenes a batch."""
+    motions: int = 512
+    """Motions a scene."""
+    learning_rate: float = 4e-3
+    """Peak rate of AdamW, which warms up and decays by a cosine."""
+    num_points: int = 12
+    """See `MotionNetwork`."""
+    channels: int = 48
+    """See `MotionNetwork`."""
+    save_every: int = 100
+    """Steps between checkpoints and log records, which validate."""
+
+
+class Motions(NamedTuple):
+    """Motions in one scene, and whether they are free."""
+
+    starts: Float[Array, "*batch M D"]  # configurations, rad or m
+    ends: Float[Array, "*batch M D"]
+    valid: Bool[Array, "*batch M"]  # at both ends and in between
+
+
+class TrainState(NamedTuple):
+    """All that changes while training; a checkpoint holds it."""
+
+    weights: Any
+    optimizer: optax.OptState
+
+
+def scene_sampler(robot: Robot) -> Callable[[jax.Array], Scene]:
+    """Makes `key -> Scene`: the paper's, or of a family drawn at random, half of each."""
+    zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
+    clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
+
+    def paper(key: jax.Array) -> Scene:
+        return pad_boxes(sample_scene(key, clear), _MAX_BOXES)
+
+    def family(name: str, key: jax.Array) -> Scene:
+        scene = draw_family_scene(key, name, robot).scene
+        # Boxes in the arm's base would block every motion.
+        scene = scene._replace(mask=scene.mask & clear(scene, base_only=True))
+        return pad_boxes(scene, _MAX_BOXES)
+
+    kinds = [paper, *(functools.partial(family, name) for name in FAMILIES)]
+    shares = [_PAPER_SHARE] + [(1 - _PAPER_SHARE) / len(FAMILIES)] * len(FAMILIES)
+
+    def sample(key: jax.Array) -> Scene:
+        kind_key, scene_key = jax.random.split(key)
+        kind = jax.random.choice(kind_key, len(kinds), p=jnp.array(shares))
+        return jax.lax.switch(kind, kinds, scene_key)
+
+    return sample
+
+
+def motion_sampler(
+    robot: Robot, num: int, lengths: tuple[tuple[float, float, float], ...], free_share: float
+) -> Callable[[jax.Array], tuple[Scene, Motions]]:
+    """Makes `key -> (Scene, Motions [M])`.
+
+    Args:
+        robot: the arm.
+        num: motions, M.
+        lengths: least and largest length, configuration units, and share of each kind.
+        free_share: share of the motions that begin at a free configuration where there are enough.
+    """
+    draw_scene = scene_sampler(robot)
+    checker = make_checker(robot, max_boxes=_MAX_BOXES)
+    lower, upper = jnp.asarray(robot.joint_lower), jnp.asarray(robot.joint_upper)
+    least, largest, share = (jnp.array(x) for x in zip(*lengths, strict=True))
+    chosen_free = int(free_share * num)
+
+    def draw(key: jax.Array) -> tuple[Scene, Motions]:
+        keys = jax.random.split(key, 5)
+        scene = draw_scene(keys[0])
+        q = jax.random.uniform(keys[1], (2 * num, robot.num_dof), minval=lower, maxval=upper)
+        free_first = jnp.argsort(~checker.check_configurations(scene, q))
+        starts = jnp.concatenate([q[free_first[:chosen_free]], q[: num - chosen_free]])
+        kind = jax.random.choice(keys[2], len(lengths), (num,), p=share)
+        length = jax.random.uniform(keys[3], (num,), minval=least[kind], maxval=largest[kind])
+        direction = jax.random.normal(keys[4], starts.shape)
+        direction /= jnp.linalg.norm(direction, axis=-1, keepdims=True)
+        ends = jnp.clip(starts + length[:, None] * direction, lower, upper)
+        at_ends = checker.check_configurations(scene, jnp.concatenate([starts, ends]))
+        valid = checker.check_edges(scene, starts, ends).valid
+        return scene, Motions(starts, ends, valid & at_ends[:num] & at_ends[num:])
+
+    return draw
+
+
+def make_batches(
+    robot: Robot, config: TrainMotionConfig
+) -> Callable[[jax.Array], tuple[ArmView, ArmView, jax.Array, jax.Array]]:
+    """Makes the compiled function `key -> (start, end, length, valid)`, all scenes' in one row."""
+    draw = motion_sampler(robot, config.motions, _LENGTHS, _FREE_SHARE)
+    view = arm_view(robot, config.num_points)
+
+    def one(key: jax.Array):
+        scene, motions = draw(key)
+        seen = view(scene, jnp.concatenate([motions.starts, motions.ends]))
+        start, end = (
+            jax.tree.map(lambda x, p=part: x[p], seen)
+            for part in (slice(config.motions), slice(config.motions, None))
+        )
+        length = jnp.linalg.norm(motions.ends - motions.starts, axis=-1)
+        return start, end, length, motions.valid
+
+    @jax.jit
+    def batch(key: jax.Array):
+        keys = jax.random.split(key, config.scenes)
+        drawn = over_problems(one, jnp.ones(config.scenes, bool), keys)
+        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), drawn)
+
+    return batch
+
+
+def make_step(graphdef: Any, optimizer: optax.GradientTransformation) -> Callable:
+    """The jitted step: two updates from one batch, a half each."""
+
+    def loss(weights: Any, start: ArmView, end: ArmView, length: jax.Array, valid: jax.Array):
+        logits = nnx.merge(graphdef, weights)(start, end, length)
+        entropy = optax.sigmoid_binary_cross_entropy(logits, valid.astype(jnp.float32))
+        return entropy.mean(), jnp.mean((logits > 0) == valid)
+
+    gradient = jax.value_and_grad(loss, has_aux=True)
+
+    @jax.jit
+    def step(state: TrainState, batch: tuple) -> tuple[TrainState, dict[str, jax.Array]]:
+        found = []
+        for half in range(2):  # every second motion: both halves have all scenes
+            part = jax.tree.map(lambda x, half=half: x[half::2], batch)
+            found_now, gradients = gradient(state.weights, *part)
+            updates, optimizer_state = optimizer.update(gradients, state.optimizer, state.weights)
+            state = TrainState(optax.apply_updates(state.weights, updates), optimizer_state)
+            found.append(jnp.stack(found_now))
+        mean = jnp.stack(found).mean(axis=0)
+        return state, {"loss": mean[0], "accuracy": mean[1]}
+
+    return step
+
+
+def area_under_curve(scores: np.ndarray, valid: np.ndarray) -> float:
+    """Chance that a valid motion scores higher than one that is not (area under the ROC curve)."""
+    order = np.argsort(scores, kind="stable")
+    _, first, counts = np.unique(scores[order], return_index=True, return_counts=True)
+    ranks = np.empty(len(scores))
+    ranks[order] = np.repeat(first + (counts + 1) / 2, counts)  # ties share their mean rank
+    num_valid = int(valid.sum())
+    above = ranks[valid].sum() - num_valid * (num_valid + 1) / 2
+    return float(above / max(1, num_valid * (len(valid) - num_valid)))
+
+
+def make_validation(
+    robot: Robot, config: TrainMotionConfig, graphdef: Any
+) -> Callable[[Any, jax.Array], tuple[np.ndarray, np.ndarray]]:
+    """Makes `(weights, key) -> (scores, valid)` of motions as long as a roadmap's edges."""
+    num, most = 128, 8
+    draw = motion_sampler(robot, num, ((*_EDGE_LENGTHS, 1.0),), 1.0)
+    view = arm_view(robot, config.num_points)
+
+    @jax.jit
+    def validate(weights: Any, key: jax.Array):
+        def one(key: jax.Array):
+            scene, motions = draw(key)
+            network = nnx.merge(graphdef, weights)
+            prices = make_prices(network, functools.partial(view, scene))
+            return -prices.motions(motions.starts, motions.ends, most), motions.valid
+
+        keys = jax.random.split(key, config.scenes)
+        return over_problems(one, jnp.ones(config.scenes, bool), keys)
+
+    return lambda weights, key: tuple(np.asarray(x).ravel() for x in validate(weights, key))
+
+
+def train_motion(config: TrainMotionConfig) -> Path:
+    """Trains and returns the folder of the weights.
+
+    A batch depends on seed and step alone, so that a run that was cut off and resumed comes to the
+    same numbers.
+    """
+    _check_config(config)
+    cache_compilations()
+    robots = [load_robot(name) for name in config.robots]
+    network = MotionNetwork(config.num_points, config.channels, rngs=nnx.Rngs(config.seed))
+    graphdef, weights = nnx.split(network)
+    warmup = min(100, config.steps // 10 + 1)
+    rate = optax.warmup_cosine_decay_schedule(
+        0.0, config.learning_rate, warmup, max(2 * config.steps, warmup + 1)
+    )
+    optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate))
+    step = make_step(graphdef, optimizer)
+    batches = [make_batches(robot, config) for robot in robots]
+    validations = [make_validation(robot, config, graphdef) for robot in robots]
+    state = TrainState(weights, optimizer.init(weights))
+    settings = _settings(config)
+    checkpoints = TrainingCheckpoints(config.out / "checkpoints", network, settings)
+    first = 0
+    if config.resume:
+        first, state = checkpoints.restore(state)
+    elif checkpoints.latest() is not None:
+        raise InputError(
+            f"{str(config.out)!r} holds a run already; add --resume to go on with it, or choose "
+            "another --out"
+        )
+    log = config.out / "log.jsonl"
+    records = _read_log(log, first)
+    train_key, validation_key = jax.random.split(jax.random.key(config.seed))
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with checkpoints, Progress(*columns, TimeRemainingColumn()) as progress:
+        bar = progress.add_task("compiling", total=config.steps, completed=first)
+        sums, since, begin = {}, first, time.perf_counter()
+        for number in range(first, config.steps):
+            batch = batches[number % len(robots)](jax.random.fold_in(train_key, number))
+            state, losses = step(state, batch)
+            sums = jax.tree.map(jnp.add, sums, losses) if sums else losses
+            progress.update(bar, advance=1, description="training")
+            done = number + 1
+            if done % config.save_every and done < config.steps:
+                continue
+            record: dict[str, Any] = {"step": done}
+            record |= {name: float(x) / (done - since) for name, x in sums.items()}
+            record["seconds"] = time.perf_counter() - begin
+            for name, validate in zip(config.robots, validations, strict=True):
+                keys = jax.random.split(validation_key, _VALIDATION_STEPS)
+                scores, valid = zip(*(validate(state.weights, key) for key in keys), strict=True)
+                area = area_under_curve(np.concatenate(scores), np.concatenate(valid))
+                record[f"edge_auc_{Path(name).stem}"] = area
+            records.append(record)
+            checkpoints.save(done, state)
+            _write_log(log, records)
+            areas = ", ".join(f"{v:.4f}" for k, v in record.items() if k.startswith("edge_auc"))
+            progress.console.print(
+                f"step {done}: loss {record['loss']:.4f}, area under the curve of edges {areas}"
+            )
+            sums, since, begin = {}, done, time.perf_counter()
+    nnx.update(network, state.weights)
+    save_network(config.out / "weights", network, {**settings, "log": records[-1:]})
+    print(f"weights in {config.out / 'weights'}")
+    return config.out / "weights"
+
+
+def _check_config(config: TrainMotionConfig) -> None:
+    """Refuses numbers that nothing can be trained with, before anything is computed."""
+    least = dict.fromkeys(("steps", "scenes", "num_points", "channels", "save_every"), 1)
+    least |= {"motions": 2, "learning_rate": 0}
+    for name, bound in least.items():
+        value = getattr(config, name)
+        if not bound <= value < float("inf"):  # NaN fails this, too
+            raise InputError(f"{name} is {value}; it must be at least {bound}, and finite")
+    if not config.robots:
+        raise InputError("robots is empty; name at least one arm")
+    check_seed(config.seed)
+    check_target(config.out / "log.jsonl")
+
+
+def _settings(config: TrainMotionConfig) -> dict[str, Any]:
+    """The configuration as JSON, without what may differ when a run goes on."""
+    settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+    del settings["resume"], settings["out"]
+    return settings
+
+
+def _write_log(path: Path, records: list[dict[str, Any]]) -> None:
+    text = "".join(json.dumps(record) + "\n" for record in records)
+    atomic_write(path, lambda file: file.write_text(text, encoding="utf-8"))
+
+
+def _read_log(path: Path, steps: int) -> list[dict[str, Any]]:
+    """The records up to the checkpoint that a run goes on from."""
+    lines = path.read_text(encoding="utf-8").splitlines() if steps and path.exists() else []
+    return [record for record in map(json.loads, lines) if record["step"] <= steps]
+
+
+if __name__ == "__main__":
+    run_command(lambda: train_motion(tyro.cli(TrainMotionConfig)) and None)
