@@ -337,4 +337,5 @@ def _fused(robot: Robot, axis_aligned: bool):
         )
         return gaps > 0
 
-    return clearance, collision_free
+    # Traced once a shape, however often a function that is compiled around it asks.
+    return clearance, jax.jit(collision_free)

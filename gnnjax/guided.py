@@ -1,8 +1,9 @@
-"""The guided search of one roadmap: price, search, shorten, check.
+"""The parts of the guided search: price and search a roadmap, shorten a path and check it.
 
 The network's opinion costs no check. So the cheapest path in its eyes is found first, then
 shortened in its eyes, and only then checked. If that does not hold, the roadmap is searched lazily
-to the end: a path is found wherever the roadmap has one.
+to the end: a path is found wherever the roadmap has one. `guided_planner.py` puts the parts
+together.
 """
 
 from collections.abc import Callable
@@ -13,168 +14,127 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.collision import EdgeChecks
+from gnnjax.labels import for_each_edge
 from gnnjax.motion import RISK_WEIGHT, Prices
 from gnnjax.roadmap import Roadmap
 from gnnjax.search import GOAL, SearchResult, lazy_search
-from gnnjax.shorten import NUM_POINTS, search_shortened, shortened
+from gnnjax.shorten import NUM_POINTS, search_shortened, shortened, spread_evenly
 
-_EDGE_PIECES = 16  # most pieces that an edge is looked at in
-_SHORTCUT_PIECES = 8
-ROUNDS = 2  # a trusting one and a checking one
+# Most pieces that a motion is looked at in; the longest edge is that from start to goal.
+_EDGE_PIECES, _SHORTCUT_PIECES, _ALL_PIECES = 16, 8, 8
+
+CheckEdge = Callable[[jax.Array, jax.Array], EdgeChecks]  # `(q_from [D], q_to [D])`, ends apart
+CheckNodes = Callable[[jax.Array], Bool[Array, " B"]]  # `[B D] -> [B]`, true where valid
 
 
 class Knowledge(NamedTuple):
-    """What is known of a roadmap and of the path roadmaps made from it; see `search.py`."""
+    """What is known of a roadmap; see `search.py`."""
 
     status: Int8[Array, "*batch N K"]
     node_status: Int8[Array, "*batch N"]
-    shortcuts: Int8[Array, "*batch R V V"]  # of the path roadmaps, one a round
 
 
-class Guided(NamedTuple):
-    """What a guided search found, and what it cost."""
+class Found(NamedTuple):
+    """A path, and what finding it cost."""
 
-    success: Bool[Array, "*batch"]
+    success: Bool[Array, "*batch"]  # there is a path; checked, if it is short enough to be
     waypoints: Float[Array, "*batch N D"]  # from start to goal; the goal again after the last
-    path: Int[Array, "*batch N"]  # nodes of the roadmap or path roadmap; -1 after the last
-    shortened: Int[Array, "*batch"]  # round whose path roadmap `path` is of; -1: the roadmap itself
-    # Price of the best path in nats, in whose face the search gave up; inf where there is none.
-    path_price: Float[Array, "*batch"]
+    path: Int[Array, "*batch N"]  # nodes; -1 after the last
+    price: Float[Array, "*batch"]  # nats, of what is not checked; inf without a path
     edge_checks: Int[Array, "*batch"]
     configuration_checks: Int[Array, "*batch"]
-    knowledge: Knowledge
+    points: Float[Array, "*batch V D"]  # spread along the path, see `shorten.py`
 
 
-def nothing_known(num_nodes: int, num_slots: int, *, nodes_checked: bool = False) -> Knowledge:
+def nothing_known(roadmap: Roadmap, *, nodes_checked: bool = False) -> Knowledge:
     """What is known of a roadmap in the beginning."""
-    return Knowledge(
-        jnp.zeros((num_nodes, num_slots), jnp.int8),
-        jnp.full(num_nodes, int(nodes_checked), jnp.int8),
-        jnp.zeros((ROUNDS, NUM_POINTS, NUM_POINTS), jnp.int8),
-    )
+    num = len(roadmap.nodes)
+    status = jnp.zeros(roadmap.neighbors.shape, jnp.int8)
+    return Knowledge(status, jnp.full(num, int(nodes_checked), jnp.int8))
 
 
-def guided_search(
+def search_guided(
     roadmap: Roadmap,
     prices: Prices,
-    check_edge: Callable[[jax.Array, jax.Array], EdgeChecks],
-    check_nodes: Callable[[jax.Array], Bool[Array, " B"]],
+    check_edge: CheckEdge,
+    check_nodes: CheckNodes,
     knowledge: Knowledge,
+    longest_checked: Int[Array, ""],
     max_price: Float[Array, ""],
     *,
-    shorten: bool = True,
-) -> Guided:
-    """Searches one roadmap.
+    price_all: bool,
+) -> tuple[Found, Knowledge]:
+    """Finds the path that is cheapest by length and price, and checks it if it is short.
 
     Args:
         roadmap: one roadmap, whose nodes need not be valid.
         prices: of configurations and motions, nats.
-        check_edge: `(q_from [D], q_to [D]) -> EdgeChecks` of scalars, ends apart.
-        check_nodes: `[B D] -> [B]`, true where valid.
+        check_edge: tests an edge.
+        check_nodes: tests nodes.
         knowledge: from earlier searches; asking about what is known costs nothing.
+        longest_checked: most edges of a path that is checked; a longer one is returned as it is.
         max_price: give up when the cheapest path has a higher price, nats.
-        shorten: shorten paths.
+        price_all: look at all edges first, not at those alone that the search comes to. Quicker
+            where it will come to most of them.
     """
-
-    def motion_price(pieces: int) -> Callable[[jax.Array, jax.Array], jax.Array]:
-        return lambda starts, ends: RISK_WEIGHT * prices.motions(starts, ends, pieces)
-
-    at_node = RISK_WEIGHT * prices.nodes(roadmap.nodes)
-    at_node = at_node.at[: GOAL + 1].set(0.0)  # start and goal are valid
-    price = (at_node[:, None] + at_node[roadmap.neighbors]) / 2
-
-    def search(trust: jax.Array | bool, known: Knowledge) -> SearchResult:
-        return lazy_search(
-            roadmap,
-            check_edge,
-            known.status,
-            price,
-            judge=motion_price(_EDGE_PIECES),
-            check_nodes=check_nodes,
-            node_status=known.node_status,
-            trust=trust,
-            max_price=RISK_WEIGHT * max_price,
-        )
-
-    if not shorten:
-        found = search(False, knowledge)
-        return _result(
-            roadmap,
-            found,
-            knowledge._replace(status=found.edge_status, node_status=found.node_status),
-        )
-
-    def play_round(state: tuple[jax.Array, Guided]) -> tuple[jax.Array, Guided]:
-        number, sofar = state
-        known = sofar.knowledge
-        found = search(number == 0, known)
-        known = known._replace(status=found.edge_status, node_status=found.node_status)
-        plain = _result(roadmap, found, known)
-        plain = plain._replace(
-            success=plain.success & (number > 0),  # a trusted path is none yet
-            edge_checks=sofar.edge_checks + plain.edge_checks,
-            configuration_checks=sofar.configuration_checks + plain.configuration_checks,
-        )
-
-        def try_shorter() -> Guided:
-            small, small_price = shortened(
-                found.path, roadmap.nodes, motion_price(_SHORTCUT_PIECES)
-            )
-            short = search_shortened(
-                small, small_price, check_edge, check_nodes, known.shortcuts[number]
-            )
-            merged = plain._replace(
-                edge_checks=plain.edge_checks + short.edge_checks,
-                configuration_checks=plain.configuration_checks + short.configuration_checks,
-                knowledge=known._replace(
-                    shortcuts=known.shortcuts.at[number].set(short.edge_status)
-                ),
-            )
-            path = jnp.full_like(found.path, -1).at[:NUM_POINTS].set(short.path)
-            better = merged._replace(
-                success=jnp.bool_(True),
-                path=path,
-                waypoints=small.nodes[jnp.where(path >= 0, path, GOAL)],
-                shortened=number,
-            )
-            shorter = short.success & (_length(better.waypoints) < _length(plain.waypoints))
-            return jax.tree.map(lambda a, b: jnp.where(shorter, a, b), better, merged)
-
-        # A path of one edge is as short as can be, and one that is hardly free not worth it.
-        worth_it = jnp.any(found.path == GOAL) & (found.path[1] != GOAL)
-        worth_it &= found.path_price <= RISK_WEIGHT * max_price
-        return number + 1, jax.lax.cond(worth_it, try_shorter, lambda: plain)
-
-    num, dof = roadmap.nodes.shape
-    zero = jnp.int32(0)
-    nothing = Guided(
-        success=jnp.bool_(False),
-        waypoints=jnp.zeros((num, dof)),
-        path=jnp.full(num, -1, jnp.int32),
-        shortened=jnp.int32(-1),
-        path_price=jnp.float32(jnp.inf),
-        edge_checks=zero,
-        configuration_checks=zero,
-        knowledge=knowledge,
+    motion_price = _motion_price(prices, _ALL_PIECES if price_all else _EDGE_PIECES)
+    if price_all:
+        price = for_each_edge(roadmap, motion_price)
+    else:
+        at_node = RISK_WEIGHT * prices.nodes(roadmap.nodes)
+        at_node = at_node.at[: GOAL + 1].set(0.0)  # start and goal are valid
+        price = (at_node[:, None] + at_node[roadmap.neighbors]) / 2
+    found = lazy_search(
+        roadmap,
+        check_edge,
+        knowledge.status,
+        price,
+        judge=None if price_all else motion_price,
+        check_nodes=check_nodes,
+        node_status=knowledge.node_status,
+        longest_checked=longest_checked,
+        max_price=RISK_WEIGHT * max_price,
     )
-    return jax.lax.while_loop(
-        lambda state: (state[0] < ROUNDS) & ~state[1].success, play_round, (zero, nothing)
-    )[1]
+    assert found.node_status is not None
+    return _found(roadmap, found), Knowledge(found.edge_status, found.node_status)
 
 
-def _result(roadmap: Roadmap, found: SearchResult, known: Knowledge) -> Guided:
+def shorten_guided(
+    points: Float[Array, "V D"],
+    prices: Prices,
+    check_edge: CheckEdge,
+    check_nodes: CheckNodes,
+    status: Int8[Array, "V V"],
+) -> tuple[Found, Int8[Array, "V V"]]:
+    """Shortens a path in the network's eyes, then checks it.
+
+    Args:
+        points: spread along the path, from `Found`.
+        prices: of motions, nats.
+        check_edge: tests an edge.
+        check_nodes: tests nodes.
+        status: what is known of the edges of the path roadmap, 0 in the beginning.
+
+    Returns:
+        The path, and what is now known; both are about nodes of the path roadmap.
+    """
+    roadmap, price = shortened(points, _motion_price(prices, _SHORTCUT_PIECES))
+    found = search_shortened(roadmap, price, check_edge, check_nodes, status)
+    return _found(roadmap, found), found.edge_status
+
+
+def _motion_price(prices: Prices, pieces: int) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    return lambda starts, ends: RISK_WEIGHT * prices.motions(starts, ends, pieces)
+
+
+def _found(roadmap: Roadmap, found: SearchResult) -> Found:
     assert found.path_price is not None
-    return Guided(
+    return Found(
         success=found.success,
         waypoints=roadmap.nodes[jnp.where(found.path >= 0, found.path, GOAL)],
         path=found.path,
-        shortened=jnp.int32(-1),
-        path_price=found.path_price / RISK_WEIGHT,
+        price=found.path_price / RISK_WEIGHT,
         edge_checks=found.edge_checks,
         configuration_checks=found.configuration_checks,
-        knowledge=known,
+        points=spread_evenly(found.path, roadmap.nodes, NUM_POINTS),
     )
-
-
-def _length(waypoints: Float[Array, "N D"]) -> Float[Array, ""]:
-    return jnp.sum(jnp.linalg.norm(jnp.diff(waypoints, axis=0), axis=-1))

@@ -1,8 +1,10 @@
 """The default planner: roadmaps nobody has checked, and a network that says where to look."""
 
+import dataclasses
 import functools
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,14 +16,22 @@ from gnnjax.certify import certify_edges
 from gnnjax.collision import EDGE_RESOLUTION, EdgeChecks, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
 from gnnjax.errors import InputError, check_seed
-from gnnjax.guided import Guided, Knowledge, guided_search, nothing_known
-from gnnjax.motion import MotionNetwork, make_prices
+from gnnjax.guided import (
+    CheckEdge,
+    CheckNodes,
+    Found,
+    Knowledge,
+    nothing_known,
+    search_guided,
+    shorten_guided,
+)
+from gnnjax.motion import MotionNetwork, Prices, make_prices
 from gnnjax.problem import Problem
-from gnnjax.query import Plan, check_limits, check_planner, check_query, make_plan
-from gnnjax.roadmap import Roadmap, default_radius, sample_roadmap
+from gnnjax.query import Plan, check_limits, check_planner, check_query, make_plan, path_length
+from gnnjax.roadmap import Roadmap, SampledRoadmap, default_radius, sample_roadmap
 from gnnjax.robot import Robot
 from gnnjax.scene import Scene, is_axis_aligned
-from gnnjax.search import INVALID
+from gnnjax.search import GOAL, INVALID
 from gnnjax.shorten import NUM_POINTS
 from gnnjax.stored import add_local_nodes, insert_ends, stored_roadmap
 from gnnjax.workspace import arm_view
@@ -116,21 +126,22 @@ class GuidedPlanner:
             seed: of the roadmaps; the same for each problem.
         """
         batch = _Batch(self, problems, check_seed(seed))
-        kept: list[tuple[Roadmap, Knowledge]] = []
-        for attempt in range(self.max_roadmaps):
-            if not batch.going_on():
+        kept: list[_Attempt] = []
+        for number in range(self.max_roadmaps):
+            if not batch.going_on().any():
                 break
-            kept.append(batch.search(*batch.build(attempt), GIVE_UP))
+            kept.append(batch.begin(number))
+            batch.work(kept[-1], GIVE_UP)
         # No roadmap had a likely path: now the unlikely ones.
-        for roadmaps, knowledge in kept:
-            if not batch.going_on():
+        for attempt in kept:
+            if not batch.going_on().any():
                 break
-            batch.search(roadmaps, knowledge, np.inf)
+            batch.work(attempt, np.inf)
         return batch.plans()
 
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
-    def functions(self, axis_aligned: bool, max_boxes: int):
-        """The jitted parts of a query, for one padding of the scene: `(begin, widen, search)`."""
+    def functions(self, axis_aligned: bool, max_boxes: int) -> "_Functions":
+        """The jitted parts of a query, for one padding of the scene."""
         checker = make_checker(
             self.robot,
             self.checker,  # type: ignore[arg-type]
@@ -141,68 +152,101 @@ class GuidedPlanner:
         view = arm_view(self.robot, self.network.num_points)
         limits = self.robot.joint_lower, self.robot.joint_upper
 
-        def prices_in(weights: Any, scene: Scene):
+        def prices_in(weights: Any, scene: Scene) -> Prices:
             network = nnx.merge(self._graphdef, weights)
             return make_prices(network, functools.partial(view, scene))
 
-        def known(roadmap: Roadmap) -> Knowledge:
-            return nothing_known(*roadmap.neighbors.shape, nodes_checked=self.sampled)
+        def checks_in(scene: Scene) -> tuple[CheckEdge, CheckNodes]:
+            def check_edge(start: jax.Array, end: jax.Array) -> EdgeChecks:
+                checks = checker.check_edges(scene, start[None], end[None])
+                return EdgeChecks(checks.valid[0], checks.num_checks[0])
 
-        @jax.jit
-        def begin(_, stored: Roadmap, key, problems: Problem, active: jax.Array):
-            def one(problem: Problem):
-                if not self.sampled:
-                    roadmap = insert_ends(stored, problem.start, problem.goal, self.radius)
-                    return roadmap, known(roadmap), jnp.int32(0)
-                drawn = sample_roadmap(
-                    key,
-                    functools.partial(checker.check_configurations, problem.scene),
-                    self.robot,
-                    problem.start,
-                    problem.goal,
-                    num_nodes=self.num_nodes,
-                    radius=self.radius,
-                )
-                return drawn.roadmap, known(drawn.roadmap), drawn.num_checks
+            return check_edge, functools.partial(checker.check_configurations, scene)
 
-            return over_problems(one, active, problems)
+        def begin(weights, stored, key, problem: Problem) -> SampledRoadmap:
+            ends = problem.start, problem.goal
+            if not self.sampled:
+                return SampledRoadmap(insert_ends(stored, *ends, self.radius), jnp.int32(0))
+            return sample_roadmap(
+                key,
+                checks_in(problem.scene)[1],
+                self.robot,
+                *ends,
+                num_nodes=self.num_nodes,
+                radius=self.radius,
+            )
 
-        @jax.jit
-        def widen(weights: Any, stored: Roadmap, key, problems: Problem, active: jax.Array):
-            def one(problem: Problem):
-                roadmap = add_local_nodes(
-                    key,
-                    stored,
-                    problem.start,
-                    problem.goal,
-                    self.radius,
-                    limits,
-                    prices_in(weights, problem.scene).nodes,
-                )
-                return roadmap, known(roadmap), jnp.int32(0)
+        def widen(weights, stored, key, problem: Problem) -> SampledRoadmap:
+            price = prices_in(weights, problem.scene).nodes
+            ends = problem.start, problem.goal
+            roadmap = add_local_nodes(key, stored, *ends, self.radius, limits, price)
+            return SampledRoadmap(roadmap, jnp.int32(0))
 
-            return over_problems(one, active, problems)
+        def build(make: Callable) -> Callable:
+            @jax.jit
+            def built(weights, stored, key, problems: Problem, active: jax.Array):
+                def one(problem: Problem) -> tuple[SampledRoadmap, Knowledge]:
+                    sampled = make(weights, stored, key, problem)
+                    known = nothing_known(sampled.roadmap, nodes_checked=self.sampled)
+                    return sampled, known
 
-        @jax.jit
-        def search(weights, roadmaps, scenes, knowledge, max_price, active: jax.Array) -> Guided:
-            def one(roadmap: Roadmap, scene: Scene, knowledge: Knowledge) -> Guided:
-                def check_edge(start: jax.Array, end: jax.Array) -> EdgeChecks:
-                    checks = checker.check_edges(scene, start[None], end[None])
-                    return EdgeChecks(checks.valid[0], checks.num_checks[0])
+                return over_problems(one, active, problems)
 
-                return guided_search(
+            return built
+
+        @functools.partial(jax.jit, static_argnames="price_all")
+        def search(
+            weights, roadmaps, scenes, knowledge, longest, max_price, active, price_all: bool
+        ) -> tuple[Found, Knowledge]:
+            def one(roadmap: Roadmap, scene: Scene, known: Knowledge):
+                return search_guided(
                     roadmap,
                     prices_in(weights, scene),
-                    check_edge,
-                    functools.partial(checker.check_configurations, scene),
-                    knowledge,
+                    *checks_in(scene),
+                    known,
+                    longest,
                     max_price,
-                    shorten=self.shorten,
+                    price_all=price_all,
                 )
 
-            return over_problems(one, active, roadmaps, scenes, knowledge)
+            found, known = over_problems(one, active, roadmaps, scenes, knowledge)
+            return found, _update(active, known, knowledge)
 
-        return begin, widen, search
+        @jax.jit
+        def shorten(weights, points, scenes, status, active) -> tuple[Found, jax.Array]:
+            def one(points: jax.Array, scene: Scene, status: jax.Array):
+                prices = prices_in(weights, scene)
+                return shorten_guided(points, prices, *checks_in(scene), status)
+
+            found, known = over_problems(one, active, points, scenes, status)
+            return found, _update(active, known, status)
+
+        return _Functions(build(begin), build(widen), search, shorten)
+
+
+class _Functions(NamedTuple):
+    """Compiled functions over P problems; arguments as in `GuidedPlanner.functions`."""
+
+    begin: Callable
+    widen: Callable
+    search: Callable
+    shorten: Callable
+
+
+def _update(rows: jax.Array, new: Any, old: Any) -> Any:
+    """The new values where `rows` `[P]`, and the old ones elsewhere."""
+    return jax.tree.map(
+        lambda x, y: jnp.where(rows.reshape(-1, *[1] * (x.ndim - 1)), x, y), new, old
+    )
+
+
+@dataclasses.dataclass
+class _Attempt:
+    """The roadmaps of one attempt, and what is known of them."""
+
+    roadmaps: Roadmap
+    knowledge: Knowledge
+    price_all: bool
 
 
 class _Batch:
@@ -220,78 +264,130 @@ class _Batch:
         self.edge_checks, self.search_checks, self.roadmaps = np.zeros((3, num), int)
         self.planning_time, self.total_time = np.zeros((2, num))
 
-    def going_on(self) -> bool:
-        """Whether any problem is still open and has time left."""
-        return bool((self.active & (self.total_time <= self.planner.time_limit)).any())
+    def going_on(self) -> np.ndarray:
+        """Which problems are still open and have time left, `[P]`."""
+        return self.active & (self.total_time <= self.planner.time_limit)
 
-    def build(self, attempt: int) -> tuple[Roadmap, Knowledge]:
+    def begin(self, number: int) -> _Attempt:
         """The roadmaps of an attempt."""
-        planner = self.planner
+        planner, active = self.planner, self.going_on()
         start = time.perf_counter()
-        key = jax.random.fold_in(jax.random.key(self.seed), attempt)
+        key = jax.random.fold_in(jax.random.key(self.seed), number)
         stored = None
         if not planner.sampled:
-            number = self.seed * _ROADMAPS_A_SEED + attempt
-            stored = stored_roadmap(planner.robot, planner.num_nodes - 2, number)
-        begin, widen, _ = self.functions
-        make = widen if attempt and not planner.sampled else begin
-        roadmaps, knowledge, num_checks = jax.block_until_ready(
-            make(planner._weights, stored, key, self.problems, self.active)
+            seed = self.seed * _ROADMAPS_A_SEED + number
+            stored = stored_roadmap(planner.robot, planner.num_nodes - 2, seed)
+        wide = number > 0 and not planner.sampled
+        make = self.functions.widen if wide else self.functions.begin
+        sampled, knowledge = jax.block_until_ready(
+            make(planner._weights, stored, key, self.problems, active)
         )
-        self.total_time += np.where(
-            self.active, (time.perf_counter() - start) / self.active.sum(), 0
-        )
-        self.sampling_checks += np.where(self.active, num_checks, 0)
-        self.roadmaps += self.active
-        return roadmaps, knowledge
+        self.total_time += np.where(active, (time.perf_counter() - start) / active.sum(), 0)
+        self.sampling_checks += np.where(active, sampled.num_checks, 0)
+        self.roadmaps += active
+        return _Attempt(sampled.roadmap, knowledge, wide)
 
-    def search(
-        self, roadmaps: Roadmap, knowledge: Knowledge, max_price: float
-    ) -> tuple[Roadmap, Knowledge]:
-        """Searches until a path is certified or there is none, around edges that are not."""
-        begin = time.perf_counter()
-        worked_on = self.active & (self.total_time <= self.planner.time_limit)
-        open_ = worked_on.copy()
-        limit = np.float32(max_price)
-        while True:
-            found = jax.block_until_ready(
-                self.functions[2](
-                    self.planner._weights, roadmaps, self.problems.scene, knowledge, limit, open_
-                )
-            )
-            knowledge = jax.tree.map(functools.partial(_update, open_), found.knowledge, knowledge)
-            self.edge_checks += np.where(open_, found.edge_checks, 0)
-            self.search_checks += np.where(open_, found.configuration_checks, 0)
+    def work(self, attempt: _Attempt, max_price: float) -> None:
+        """Searches roadmaps until paths are certified, or too dear, or there are none."""
+        begin, open_ = time.perf_counter(), self.going_on()
+        worked_on = open_.copy()
+        if self.planner.shorten:
+            # Checked are single edges, which cannot be shortened. Longer paths are shortened first.
+            found = self._search(attempt, open_, 1, max_price)
+            likely = open_ & np.asarray(found.success) & (np.asarray(found.price) <= max_price)
+            single = np.asarray(found.path)[:, 1] == GOAL
+            self._certify(attempt, found, likely & single)
+            self._shorten(found, likely & ~single)
+            open_ &= self.active
+        while open_.any():
+            found = self._search(attempt, open_, len(attempt.roadmaps.nodes[0]), max_price)
             open_ &= np.asarray(found.success)
-            for i in np.flatnonzero(open_):
-                open_[i] = not self._certify(int(i), found, roadmaps, knowledge)
-            if not open_.any():
-                break
+            certified = self._certify(attempt, found, open_)
+            if self.planner.shorten:
+                self._shorten(found, certified & (np.asarray(found.path)[:, 1] != GOAL))
+            open_ &= ~certified
         taken = (time.perf_counter() - begin) / max(1, worked_on.sum())
         self.planning_time += np.where(worked_on, taken, 0)
         self.total_time += np.where(worked_on, taken, 0)
-        return roadmaps, knowledge
 
-    def _certify(self, i: int, found: Guided, roadmaps: Roadmap, knowledge: Knowledge) -> bool:
-        """Keeps the path of problem i if it is certified; else notes which edges are not."""
+    def _search(
+        self, attempt: _Attempt, rows: np.ndarray, longest_checked: int, max_price: float
+    ) -> Found:
+        found, attempt.knowledge = jax.block_until_ready(
+            self.functions.search(
+                self.planner._weights,
+                attempt.roadmaps,
+                self.problems.scene,
+                attempt.knowledge,
+                np.int32(longest_checked),
+                np.float32(max_price),
+                rows,
+                price_all=attempt.price_all,
+            )
+        )
+        self._count(found, rows)
+        return found
+
+    def _shorten(self, found: Found, rows: np.ndarray) -> None:
+        """Shortens the paths of some problems, and keeps what is certified and shorter."""
+        status = np.zeros((len(rows), NUM_POINTS, NUM_POINTS), np.int8)
+        rows = rows.copy()
+        while rows.any():
+            short, known = jax.block_until_ready(
+                self.functions.shorten(
+                    self.planner._weights, found.points, self.problems.scene, status, rows
+                )
+            )
+            self._count(short, rows)
+            rows &= np.asarray(short.success)
+            status = np.array(known)
+            for i in np.flatnonzero(rows):
+                walked, certified = self._keep_if_certified(int(i), short)
+                rows[i] = not certified.all()
+                for step in np.flatnonzero(~certified):
+                    ends = walked[[step, step + 1]]
+                    status[i, ends, ends[::-1]] = INVALID
+
+    def _certify(self, attempt: _Attempt, found: Found, rows: np.ndarray) -> np.ndarray:
+        """Keeps the certified paths of some problems, and notes which edges are not.
+
+        Returns:
+            `[P]`, true where a path was kept.
+        """
+        kept = np.zeros(len(rows), bool)
+        for i in np.flatnonzero(rows):
+            walked, certified = self._keep_if_certified(int(i), found)
+            kept[i] = certified.all()
+            if kept[i]:
+                continue
+            status = np.array(attempt.knowledge.status)
+            for step in np.flatnonzero(~certified):
+                for near, far in (walked[[step, step + 1]], walked[[step + 1, step]]):
+                    slots = np.asarray(attempt.roadmaps.neighbors[i, near]) == far
+                    status[i, near, slots] = INVALID
+            attempt.knowledge = attempt.knowledge._replace(status=status)
+        return kept
+
+    def _keep_if_certified(self, i: int, found: Found) -> tuple[np.ndarray, np.ndarray]:
+        """Keeps the path of problem i if it is certified, and shorter than what there is.
+
+        Returns:
+            The nodes of the path, and which of its edges are certified.
+        """
         walked = np.asarray(found.path[i])
         walked = walked[walked >= 0]
-        waypoints = np.asarray(found.waypoints[i])[: len(walked)]
+        path = np.asarray(found.waypoints[i])[: len(walked)]
         scene = jax.tree.map(lambda x: x[i], self.scenes)
-        certified = certify_edges(self.planner.robot, scene, waypoints[:-1], waypoints[1:])
-        if certified.all():
-            self.paths[i] = waypoints
+        certified = certify_edges(self.planner.robot, scene, path[:-1], path[1:])
+        known = self.paths[i]
+        if certified.all() and (known is None or path_length(path) < path_length(known)):
+            self.paths[i] = path
             self.active[i] = False
-            return True
-        number = int(found.shortened[i])
-        for step in np.flatnonzero(~certified):
-            for near, far in (walked[[step, step + 1]], walked[[step + 1, step]]):
-                if number >= 0:
-                    knowledge.shortcuts[i, number, near, far] = INVALID
-                else:
-                    at_far = np.asarray(roadmaps.neighbors[i, near]) == far
-                    knowledge.status[i, near, at_far] = INVALID
-        return False
+        return walked, certified
+
+    def _count(self, found: Found, rows: np.ndarray) -> None:
+        self.edge_checks += np.where(rows, found.edge_checks, 0)
+        self.search_checks += np.where(rows, found.configuration_checks, 0)
 
     def plans(self) -> list[Plan]:
         """What came out."""
@@ -310,8 +406,3 @@ class _Batch:
             )
             for i, path in enumerate(self.paths)
         ]
-
-
-def _update(rows: np.ndarray, new: jax.Array, old: Any) -> np.ndarray:
-    """The new values where `rows` `[P]`, and the old ones elsewhere."""
-    return np.where(rows.reshape(-1, *[1] * (new.ndim - 1)), new, old)

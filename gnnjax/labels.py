@@ -70,6 +70,34 @@ def edge_validity(
     return ValidityLabels(valid.reshape(num, num_slots), count.astype(jnp.int32), num_checks)
 
 
+def for_each_edge(
+    roadmap: Roadmap, value: Callable[[jax.Array, jax.Array], jax.Array], block: int = 256
+) -> Float[Array, "N K"]:
+    """A value of every undirected edge, the same in both its slots; zero on padding.
+
+    Args:
+        roadmap: N nodes with K slots.
+        value: `(starts [B D], ends [B D]) -> [B]`.
+        block: B, edges at once.
+    """
+    num, num_slots = roadmap.neighbors.shape
+    once = roadmap.neighbor_mask & (jnp.arange(num)[:, None] < roadmap.neighbors)
+    (slots,) = jnp.nonzero(once.ravel(), size=num * num_slots // 2 + block, fill_value=-1)
+    reverse, neighbors = reverse_slots(roadmap).ravel(), roadmap.neighbors.ravel()
+    outside = num * num_slots  # dropped
+
+    def ask(i: jax.Array, values: jax.Array) -> jax.Array:
+        slot = jax.lax.dynamic_slice_in_dim(slots, i * block, block)
+        found = value(roadmap.nodes[slot // num_slots], roadmap.nodes[neighbors[slot]])
+        for way in (slot, reverse[slot]):
+            values = values.at[jnp.where(slot >= 0, way, outside)].set(found, mode="drop")
+        return values
+
+    blocks = (once.sum() + block - 1) // block
+    values = jax.lax.fori_loop(0, blocks, ask, jnp.zeros(num * num_slots))
+    return values.reshape(num, num_slots)
+
+
 def cost_to_go(
     roadmap: Roadmap,
     edge_cost: Float[Array, "N K"],

@@ -75,6 +75,11 @@ def check_query(
     return ends[0], ends[1]
 
 
+def path_length(path: np.ndarray) -> float:
+    """Length of a path `[L D]`, configuration units."""
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
 def make_plan(path: np.ndarray | None, reason: str, num_dof: int, **costs: Any) -> Plan:
     """The plan of a planner that certifies its paths.
 
@@ -86,12 +91,11 @@ def make_plan(path: np.ndarray | None, reason: str, num_dof: int, **costs: Any) 
     """
     success = path is not None
     nodes = np.zeros((0, num_dof), np.float32) if path is None else path
-    length = float(np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum())
     return Plan(
         success=success,
         reason="" if success else reason,
         path=nodes,
-        cost=length if success else np.inf,
+        cost=path_length(nodes) if success else np.inf,
         certified=success,
         configuration_checks=costs["sampling_checks"] + costs["search_checks"],
         **costs,

@@ -282,9 +282,10 @@ def lazy_search(
     price: Float[Array, "N K"] | None = None,
     *,
     judge: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
+    judged: bool | Bool[Array, ""] = False,
     check_nodes: Callable[[jax.Array], jax.Array] | None = None,
     node_status: Int8[Array, " N"] | None = None,
-    trust: bool | Bool[Array, ""] = False,
+    longest_checked: int | Int[Array, ""] | None = None,
     max_price: float | Float[Array, ""] = jnp.inf,
     max_edge_checks: int | None = None,
 ) -> SearchResult:
@@ -303,10 +304,12 @@ def lazy_search(
         price: what an edge costs, beside its length, while it is unknown whether it is valid.
         judge: `(starts [B D], ends [B D]) -> [B]`, a closer look at the price of edges. It is taken
             once, when an edge lies on a cheapest path, before anything of that path is checked.
+        judged: all edges had their closer look already.
         check_nodes: `[B D] -> [B]`, true where valid. The nodes of a path are checked before its
             edges; a node that is not valid takes its edges with it. None: all nodes are valid.
         node_status: what is known of the nodes, like `status`; start and goal are always valid.
-        trust: check nothing, and end with the path that is cheapest after a closer look.
+        longest_checked: a path of more edges is not checked: the search ends with the one that is
+            cheapest after a closer look. None: any path is checked.
         max_price: give up when the cheapest path's price exceeds this.
         max_edge_checks: give up after so many.
     """
@@ -321,7 +324,7 @@ def lazy_search(
         path=jnp.full(num, -1, jnp.int32),
         path_price=jnp.float32(jnp.inf),
         price=jnp.zeros(roadmap.lengths.shape) if price is None else price,
-        judged=jnp.full(roadmap.lengths.shape, judge is None),
+        judged=jnp.full(roadmap.lengths.shape, judged if judge is not None else True),
         status=unknown_edges(roadmap) if status is None else status,
         node_status=node_status,
         edge_checks=jnp.int32(0),
@@ -391,7 +394,10 @@ def lazy_search(
             jnp.any(path == GOAL), jnp.sum(price[node, slot], where=on_path), jnp.inf
         )
         # In this order: what costs nothing, what costs one check, and what costs many.
-        todo = [jnp.any(unjudged), jnp.any(untested) & ~trust, jnp.any(unknown) & ~trust]
+        todo = [jnp.any(unjudged), jnp.any(untested), jnp.any(unknown)]
+        if longest_checked is not None:
+            checking = jnp.sum(path >= 0) - 1 <= longest_checked
+            todo[1:] = [work & checking for work in todo[1:]]
         too_much = path_price > max_price
         if max_edge_checks is not None:
             too_much |= lazy.edge_checks >= max_edge_checks

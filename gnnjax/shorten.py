@@ -19,7 +19,7 @@ from gnnjax.search import GOAL, START, SearchResult, follow, lazy_search
 
 NUM_POINTS = 20  # along a path
 _ROUNDS = 2  # of shortening; the third gains nothing (docs/experiments.md)
-_MOST_CHECKS = 12  # edges; what needs more is hardly ever free
+_MOST_CHECKS = 8  # edges; what needs more is hardly ever free
 
 
 def path_roadmap(points: Float[Array, "V D"]) -> Roadmap:
@@ -38,7 +38,7 @@ def path_roadmap(points: Float[Array, "V D"]) -> Roadmap:
 
 
 def spread_evenly(
-    path: Int[Array, " N"], nodes: Float[Array, "N D"], num: int = NUM_POINTS
+    path: Int[Array, " N"], nodes: Float[Array, "N D"], num: int
 ) -> Float[Array, "V D"]:
     """`num` points at equal distances along a path: first its start, then its goal, then the rest.
 
@@ -58,33 +58,31 @@ def spread_evenly(
 
 
 def shortened(
-    path: Int[Array, " N"],
-    nodes: Float[Array, "N D"],
+    points: Float[Array, "V D"],
     price: Callable[[jax.Array, jax.Array], jax.Array],
 ) -> tuple[Roadmap, Float[Array, "V V"]]:
     """The path roadmap of a path that is shortened in the network's eyes, and its prices.
 
     Args:
-        path: nodes from the start to the goal; -1 after the last.
-        nodes: configurations.
+        points: from `spread_evenly`.
         price: `(starts [E D], ends [E D]) -> [E]`, rad: what a motion costs beside its length.
     """
-    near, far = jnp.triu_indices(NUM_POINTS, 1)
+    num = len(points)
+    near, far = jnp.triu_indices(num, 1)
 
-    def priced(points: jax.Array) -> tuple[Roadmap, jax.Array]:
+    def again(number: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        points, prices = state
         roadmap = path_roadmap(points)
-        prices = jnp.zeros(roadmap.lengths.shape)
-        prices = prices.at[near, far].set(price(points[near], points[far]))
-        return roadmap, prices + prices.T
-
-    def again(_, points: jax.Array) -> jax.Array:
-        roadmap, prices = priced(points)
         edge_cost = roadmap.lengths + prices
         cost = cost_to_go(roadmap, edge_cost, GOAL)
-        return spread_evenly(follow(roadmap, next_slots(roadmap, edge_cost, cost), cost), points)
+        path = follow(roadmap, next_slots(roadmap, edge_cost, cost), cost)
+        # The first time there are no prices yet; this way their code is compiled but once.
+        points = jnp.where(number > 0, spread_evenly(path, points, num), points)
+        prices = jnp.zeros((num, num)).at[near, far].set(price(points[near], points[far]))
+        return points, prices + prices.T
 
-    points = jax.lax.fori_loop(1, _ROUNDS, again, spread_evenly(path, nodes))
-    return priced(points)
+    points, prices = jax.lax.fori_loop(0, _ROUNDS, again, (points, jnp.zeros((num, num))))
+    return path_roadmap(points), prices
 
 
 def search_shortened(

@@ -119,7 +119,7 @@ def arm_view(robot: Robot, num: int) -> Callable[[Scene, jax.Array], ArmView]:
         clearance = jnp.concatenate([to_boxes, to_itself[:, None]], axis=-1)
         return ArmView(clearance, jnp.stack(stacked, axis=-2))
 
-    return view
+    return jax.jit(view)  # traced once a shape
 
 
 def _nearer(
