@@ -21,7 +21,7 @@ from gnnjax.search import GOAL, SearchResult, lazy_search
 from gnnjax.shorten import NUM_POINTS, search_shortened, shortened, spread_evenly
 
 # Most pieces that a motion is looked at in; the longest edge is that from start to goal.
-_EDGE_PIECES, _SHORTCUT_PIECES, _ALL_PIECES = 16, 8, 8
+_EDGE_PIECES, _SHORTCUT_PIECES, _ALL_PIECES = 16, 12, 8
 
 CheckEdge = Callable[[jax.Array, jax.Array], EdgeChecks]  # `(q_from [D], q_to [D])`, ends apart
 CheckNodes = Callable[[jax.Array], Bool[Array, " B"]]  # `[B D] -> [B]`, true where valid
