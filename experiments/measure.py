@@ -123,8 +123,13 @@ def command(case: EvaluateConfig) -> str:
         value = getattr(case, field.name)
         if field.name == "json":
             value = Path("out.json")
-        if value != field.default and field.name != "seed":
-            words += [f"--{field.name.replace('_', '-')}", *([] if value is True else [str(value)])]
+        if value == field.default or field.name == "seed":
+            continue
+        option = field.name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{option}" if value else f"--no-{option}")
+        else:
+            words += [f"--{option}", str(value)]
     return shlex.join(words)
 
 

@@ -1,6 +1,6 @@
 """Plans all problems of a set and sums up: success, checks, times and costs.
 
-    python -m gnnjax.evaluate --problems data/kuka_iiwa14_test.npz --planner gnn --json gnn.json
+    python -m gnnjax.evaluate --problems data/kuka_iiwa14_test.npz --json guided.json
 
 A path that comes after the time limit is a failure, whatever the planner.
 
@@ -16,7 +16,7 @@ import os
 import platform
 import time
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,14 @@ from rich.table import Table
 from gnnjax.classical import ClassicalMethod, ClassicalPlanner, ompl_version
 from gnnjax.collision import EDGE_RESOLUTION, Backend, make_checker
 from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
-from gnnjax.planner import DEFAULT_MAX_ROADMAPS, Method, Planner, load_planner
+from gnnjax.guided_planner import GuidedPlanner
+from gnnjax.planner import (
+    DEFAULT_MAX_ROADMAPS,
+    Method,
+    Planner,
+    check_guided_options,
+    load_planner,
+)
 from gnnjax.problem import Problem, ProblemSet, load_problems
 from gnnjax.query import Plan
 from gnnjax.scene import is_axis_aligned
@@ -61,9 +68,9 @@ class EvaluateConfig:
     """Where results go; goes on with what is there if it has the same settings."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
-    planner: str = "gnn"
-    """How roadmaps are searched: gnn, gnn_lazy, distance, oracle, prm or lazysp; or a planner of
-    OMPL (docs/ompl.md), such as ompl:rrt_connect, which needs the experiments extra."""
+    planner: str = "guided"
+    """How roadmaps are searched: guided, gnn, gnn_lazy, distance, oracle, prm or lazysp; or a
+    planner of OMPL (docs/ompl.md), such as ompl:rrt_connect, which needs the experiments extra."""
     num_nodes: int = 200
     """Nodes of a roadmap."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
@@ -83,13 +90,20 @@ class EvaluateConfig:
     """Seconds a problem may take; a path that comes later is a failure."""
     simplify: bool = False
     """Let OMPL simplify the path that its planner found; not for our own planners."""
+    shorten: bool = True
+    """Shorten paths before they are checked; for guided alone."""
+    sampled: bool = False
+    """Search roadmaps of checked nodes, drawn for each query like those of the other planners of
+    roadmaps; for guided alone."""
     seed: int = 0
     """Of the roadmaps, or of OMPL's random numbers."""
 
 
-def evaluate(
-    config: EvaluateConfig, planner: Planner | ClassicalPlanner | None = None
-) -> dict[str, Any]:
+# What `make_planner` makes.
+AnyPlanner: TypeAlias = Planner | GuidedPlanner | ClassicalPlanner
+
+
+def evaluate(config: EvaluateConfig, planner: AnyPlanner | None = None) -> dict[str, Any]:
     """Plans what is missing of a set's results, and returns them all as they are in the file.
 
     Args:
@@ -129,12 +143,14 @@ def _is_classical(config: EvaluateConfig) -> bool:
     return config.planner in get_args(ClassicalMethod)
 
 
-def make_planner(config: EvaluateConfig) -> Planner | ClassicalPlanner:
+def make_planner(config: EvaluateConfig) -> AnyPlanner:
     """The planner that a configuration names."""
     known = [*get_args(Method), *get_args(ClassicalMethod)]
     if config.planner not in known:
         raise InputError(f"no planner {config.planner!r}; there are {known}")
     limits = {"resolution": config.resolution, "time_limit": config.time_limit}
+    guided = {"shorten": config.shorten, "sampled": config.sampled}
+    check_guided_options(config.planner, **guided)
     if _is_classical(config):
         own = {"checker": config.checker, "simplify": config.simplify}
         return ClassicalPlanner(config.robot, config.planner, **own, **limits)
@@ -154,12 +170,13 @@ def make_planner(config: EvaluateConfig) -> Planner | ClassicalPlanner:
         max_roadmaps=config.max_roadmaps,
         weights=config.weights,
         checker=config.checker,
+        **guided,
         **limits,
     )
 
 
 def _plan_missing(
-    planner: Planner | ClassicalPlanner,
+    planner: AnyPlanner,
     problems: ProblemSet,
     results: dict[str, Any],
     config: EvaluateConfig,
@@ -194,6 +211,8 @@ def _plan_missing(
                 padded = np.array((valid + [valid[0]] * size)[:size])
                 queries = jax.tree.map(lambda x, at=padded: x[at], problems.problems)
                 if not warm:
+                    if isinstance(planner, GuidedPlanner):
+                        planner.warm_up(queries)
                     planner.plan_batch(queries, seed=config.seed)
                     warm = True
                 made = planner.plan_batch(queries, seed=config.seed)
@@ -239,7 +258,7 @@ def _within(row: dict, time_limit: float) -> dict:
     return row | late
 
 
-def straight_line_blocked(planner: Planner | ClassicalPlanner, problems: Problem) -> np.ndarray:
+def straight_line_blocked(planner: AnyPlanner, problems: Problem) -> np.ndarray:
     """Tells for each problem whether the straight line from start to goal is blocked: the hard
     ones. That does not depend on the resolution a planner is asked for."""
     checker = make_checker(
@@ -354,14 +373,23 @@ def _write(path: Path, results: dict[str, Any]) -> None:
     atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
 
 
+# What a summary's title says of options that are not at their defaults.
+_VARIANTS = {
+    "simplify": (True, "simplified"),
+    "shorten": (False, "not shortened"),
+    "sampled": (True, "on sampled roadmaps"),
+}
+
+
 def print_summary(results: dict[str, Any]) -> None:
     """Prints a summary as a table."""
     settings, summary = results["settings"], results["summary"]
     title = settings["planner"]
     if title not in get_args(ClassicalMethod):
         title += f", {settings['num_nodes']} nodes"
-    if settings["simplify"]:
-        title += ", simplified"
+    for name, (value, text) in _VARIANTS.items():
+        if settings[name] == value:
+            title += f", {text}"
     table = Table(
         "stratum", "solved", "certified", "edge checks", "configuration checks", "cost", title=title
     )

@@ -139,6 +139,19 @@ class GuidedPlanner:
             batch.work(attempt, np.inf)
         return batch.plans()
 
+    def warm_up(self, problems: Problem) -> None:
+        """Compiles all that planning P problems of these shapes may need, and plans nothing.
+
+        Without it, a second set of functions is compiled for the first problem whose first roadmap
+        has no likely path.
+        """
+        batch = _Batch(self, problems, 0)
+        nobody = batch.active = np.zeros(len(problems.start), bool)
+        for number in range(min(2, self.max_roadmaps)):
+            found = batch._search(batch.begin(number), nobody, 1, GIVE_UP)
+            if self.shorten:
+                batch._shorten_once(found, np.zeros(_path_status(len(nobody)), np.int8), nobody)
+
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
     def functions(self, axis_aligned: bool, max_boxes: int) -> "_Functions":
         """The jitted parts of a query, for one padding of the scene."""
@@ -240,6 +253,11 @@ def _update(rows: jax.Array, new: Any, old: Any) -> Any:
     )
 
 
+def _path_status(num: int) -> tuple[int, int, int]:
+    """Shape of what is known of the path roadmaps of P problems."""
+    return num, NUM_POINTS, NUM_POINTS
+
+
 @dataclasses.dataclass
 class _Attempt:
     """The roadmaps of one attempt, and what is known of them."""
@@ -282,7 +300,8 @@ class _Batch:
         sampled, knowledge = jax.block_until_ready(
             make(planner._weights, stored, key, self.problems, active)
         )
-        self.total_time += np.where(active, (time.perf_counter() - start) / active.sum(), 0)
+        taken = (time.perf_counter() - start) / max(1, active.sum())
+        self.total_time += np.where(active, taken, 0)
         self.sampling_checks += np.where(active, sampled.num_checks, 0)
         self.roadmaps += active
         return _Attempt(sampled.roadmap, knowledge, wide)
@@ -330,15 +349,10 @@ class _Batch:
 
     def _shorten(self, found: Found, rows: np.ndarray) -> None:
         """Shortens the paths of some problems, and keeps what is certified and shorter."""
-        status = np.zeros((len(rows), NUM_POINTS, NUM_POINTS), np.int8)
+        status = np.zeros(_path_status(len(rows)), np.int8)
         rows = rows.copy()
         while rows.any():
-            short, known = jax.block_until_ready(
-                self.functions.shorten(
-                    self.planner._weights, found.points, self.problems.scene, status, rows
-                )
-            )
-            self._count(short, rows)
+            short, known = self._shorten_once(found, status, rows)
             rows &= np.asarray(short.success)
             status = np.array(known)
             for i in np.flatnonzero(rows):
@@ -347,6 +361,17 @@ class _Batch:
                 for step in np.flatnonzero(~certified):
                     ends = walked[[step, step + 1]]
                     status[i, ends, ends[::-1]] = INVALID
+
+    def _shorten_once(
+        self, found: Found, status: np.ndarray, rows: np.ndarray
+    ) -> tuple[Found, jax.Array]:
+        short, known = jax.block_until_ready(
+            self.functions.shorten(
+                self.planner._weights, found.points, self.problems.scene, status, rows
+            )
+        )
+        self._count(short, rows)
+        return short, known
 
     def _certify(self, attempt: _Attempt, found: Found, rows: np.ndarray) -> np.ndarray:
         """Keeps the certified paths of some problems, and notes which edges are not.

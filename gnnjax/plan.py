@@ -28,8 +28,10 @@ class PlanConfig:
     """Where the path goes: arrays path [L, D], scene boxes and counts."""
     image: Path | None = None
     """Where a picture of the path goes (needs the viz extra)."""
-    planner: str = "gnn"
-    """How the roadmap is searched: gnn, gnn_lazy, distance, oracle, prm or lazysp."""
+    planner: str = "guided"
+    """How roadmaps are searched: guided, gnn, gnn_lazy, distance, oracle, prm or lazysp."""
+    shorten: bool = True
+    """Shorten the path before it is checked; for guided alone."""
     num_nodes: int = 200
     """Nodes of a roadmap."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
@@ -53,6 +55,7 @@ def main(config: PlanConfig) -> int:
         num_nodes=config.num_nodes,
         max_roadmaps=config.max_roadmaps,
         weights=config.weights,
+        shorten=config.shorten,
         checker=config.checker,
     )
     draw = None

@@ -85,6 +85,7 @@ def load_planner(
         resolution: largest distance of neighbouring configurations tested along an edge, rad or m.
         time_limit: after this many seconds no further roadmap is begun.
     """
+    check_guided_options(method, shorten=shorten, sampled=sampled)
     loaded = load_robot(robot)
     options: dict[str, Any] = {
         "checker": checker,
@@ -105,6 +106,15 @@ def load_planner(
             loaded, network, num_nodes, max_roadmaps, shorten=shorten, sampled=sampled, **options
         )
     return Planner(loaded, method, num_nodes, max_roadmaps, network=network, **options)
+
+
+def check_guided_options(method: str, *, shorten: bool, sampled: bool) -> None:
+    """Refuses the options of "guided" with other planners, where they are not at their defaults."""
+    if method != "guided" and (sampled or not shorten):
+        option = "sampled" if sampled else "shorten=False"
+        raise InputError(
+            f"{option} with planner {method!r}; it is for planner 'guided', leave it out"
+        )
 
 
 class Planner:

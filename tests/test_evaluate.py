@@ -11,8 +11,9 @@ import pytest
 
 from gnnjax.certify import certify_path
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, evaluate, print_summary, summarize
+from gnnjax.evaluate import EvaluateConfig, evaluate, make_planner, print_summary, summarize
 from gnnjax.generate import GenerateConfig, generate
+from gnnjax.guided_planner import GuidedPlanner
 from gnnjax.problem import load_problems, save_problems
 from gnnjax.robot import load_robot
 from gnnjax.scene import Scene
@@ -118,7 +119,8 @@ def test_a_run_that_was_cut_off_goes_on(tiny_path, problems, results, tmp_path):
 
 def test_a_file_from_before_an_option_has_its_default(tiny_path, problems, results, tmp_path):
     out = tmp_path / "old.json"
-    settings = {k: v for k, v in results["settings"].items() if k != "simplify"}
+    later = ("simplify", "shorten", "sampled")
+    settings = {k: v for k, v in results["settings"].items() if k not in later}
     out.write_text(json.dumps({**results, "settings": settings}))
     resumed = evaluate(config(tiny_path, problems, out))
     assert resumed["problems"] == results["problems"]  # times too: nothing was redone
@@ -151,6 +153,25 @@ def test_a_batch_finds_what_single_queries_find(tiny_path, problems, results, tm
     assert without_times(batched["problems"]) == without_times(results["problems"])
 
 
+@pytest.mark.parametrize("variant", [{}, {"shorten": False, "sampled": True}])
+def test_the_guided_planner_is_warm_before_it_is_timed(
+    tiny_path, problems, tmp_path, quick_compilation, variant
+):
+    case = config(tiny_path, problems, tmp_path / "guided.json", planner="guided", **variant)
+    planner = make_planner(case)
+    assert isinstance(planner, GuidedPlanner)
+    query = load_problems(problems, planner.robot).take(slice(1)).problems
+    planner.warm_up(query)
+    compiled = planner.functions(True, query.scene.mask.shape[-1])
+    sizes = [f._cache_size() for f in compiled]
+    assert sizes == ([1, 1, 2, 1] if planner.shorten else [1, 0, 1, 0])
+    found = evaluate(case, planner)
+    assert [f._cache_size() for f in compiled] == sizes
+    assert found["summary"]["all"]["certified"] > 0
+    assert found["settings"]["sampled"] is planner.sampled
+    print_summary(found)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -171,12 +192,14 @@ def test_a_file_with_something_else_is_kept(tiny_path, problems, tmp_path, text,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--planner", "magic"], "error: no planner 'magic'; there are ['gnn',"),
+        (["--planner", "magic"], "error: no planner 'magic'; there are ['guided',"),
         (["--problems", "missing.npz"], "error: no problem file 'missing.npz'; check the path"),
         (["--robot", "kuka_iiwa14"], "is for robot 'tiny', not 'kuka_iiwa14'"),
         (["--num-nodes", "1"], "error: num_nodes is 1"),
         (["--batch-size", "0"], "error: batch_size is 0"),
         (["--seed", "-1"], "error: seed is -1"),
+        (["--sampled"], "error: sampled with planner 'lazysp'; it is for planner 'guided'"),
+        (["--no-shorten"], "error: shorten=False with planner 'lazysp'; it is for planner"),
         (["--json", "."], "error: '.' is a folder; name a file"),
     ],
 )

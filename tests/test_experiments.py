@@ -11,7 +11,7 @@ import pytest
 import tyro
 
 from experiments import crossover, failures, figure5, figure7, hard, measure, run_all
-from experiments.cases import CLASSICAL, classical_case
+from experiments.cases import CLASSICAL, classical_case, own_case
 from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
 from gnnjax.errors import InputError
@@ -285,3 +285,7 @@ def test_an_option_is_named_where_it_is_not_the_default(tmp_path):
     words = shlex.split(measure.command(simplified))[3:]
     assert tyro.cli(EvaluateConfig, args=words).simplify
     assert "simplify" not in measure.command(plain)
+    case = own_case(tmp_path / "set.npz", "kuka_iiwa14", "guided_sampled", 200)
+    assert measure.slug(case) == "set_guided_200_shorten-False_sampled-True"
+    parsed = tyro.cli(EvaluateConfig, args=shlex.split(measure.command(case))[3:])
+    assert (parsed.planner, parsed.shorten, parsed.sampled) == ("guided", False, True)
