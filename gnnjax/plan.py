@@ -28,14 +28,14 @@ class PlanConfig:
     """Where the path goes: arrays path [L, D], scene boxes and counts."""
     image: Path | None = None
     """Where a picture of the path goes (needs the viz extra)."""
-    planner: str = "gnn"
-    """How the roadmap is searched: gnn, gnn_lazy, distance, oracle, prm or lazysp."""
+    planner: str = "guided"
+    """How a path is found: guided, gnn, gnn_lazy, distance, oracle, prm or lazysp."""
     num_nodes: int = 200
     """Nodes of a roadmap."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up."""
     weights: Path | None = None
-    """Checkpoint of the network, or name of shipped weights; by default those for the robot."""
+    """Checkpoint of the network, or name of shipped weights; by default those for the planner."""
     checker: Backend = "fused"
     """Collision backend."""
     seed: int = 0
