@@ -204,17 +204,24 @@ def look(starts, ends):
 
 
 @jax.jit
-def search_unchecked(roadmap, price, scale, longest_checked=50, max_price=jnp.inf):
+def search_as_known(roadmap, price, scale, longest_checked, max_price, status, node_status):
     return lazy_search(
         roadmap,
         check_edge_for_free,
-        None,
+        status,
         price,
         judge=lambda starts, ends: scale * look(starts, ends),
         check_nodes=check_nodes,
+        node_status=node_status,
         longest_checked=longest_checked,
         max_price=max_price,
     )
+
+
+def search_unchecked(roadmap, price, scale, longest_checked=50, max_price=np.inf, known=None):
+    nothing = np.zeros(roadmap.neighbors.shape, np.int8), np.zeros(50, np.int8)
+    limits = np.float32(scale), np.int32(longest_checked), np.float32(max_price)
+    return search_as_known(roadmap, price, *limits, *(known or nothing))  # compiled once
 
 
 def no_price(roadmap):
@@ -280,9 +287,11 @@ def test_a_path_too_long_to_be_checked_is_the_cheapest_after_a_closer_look():
     for seed in range(8):
         roadmap = make_roadmap(jax.random.key(seed))
         found = search_unchecked(roadmap, no_price(roadmap), 1.0, longest_checked=1)
-        far = roadmap.nodes[roadmap.neighbors]
-        price = np.asarray(look(roadmap.nodes[:, None], far))
-        expected = shortest(roadmap, np.asarray(found.edge_status) != INVALID, price)
+        nodes, status = np.asarray(roadmap.nodes), np.asarray(found.edge_status)
+        price = look(nodes[:, None], nodes[np.asarray(roadmap.neighbors)])
+        # An edge that was checked costs its length alone.
+        price = np.where(status == VALID, 0.0, price)
+        expected = shortest(roadmap, status != INVALID, price)
         cost = path_cost(roadmap, found.path) + float(found.path_price)
         np.testing.assert_allclose(cost, expected, rtol=1e-5)
         steps = int((np.asarray(found.path) >= 0).sum()) - 1
@@ -330,12 +339,7 @@ def test_a_search_gives_up_after_so_many_edge_checks():
 def test_known_nodes_cost_nothing_and_the_search_goes_on_where_it_was():
     roadmap = make_roadmap(jax.random.key(1))
     first = search_unchecked(roadmap, no_price(roadmap), 0.0)
-    again = lazy_search(
-        roadmap,
-        check_edge_for_free,
-        first.edge_status,
-        check_nodes=check_nodes,
-        node_status=first.node_status,
-    )
+    known = first.edge_status, first.node_status
+    again = search_unchecked(roadmap, no_price(roadmap), 0.0, known=known)
     assert int(again.edge_checks) == int(again.configuration_checks) == 0
     np.testing.assert_array_equal(again.path, first.path)
