@@ -14,9 +14,12 @@ from gnnjax.roadmap import connect, graphs_tuple, radius_for_degree, reverse_slo
 from gnnjax.robot import load_robot
 
 
+jitted_connect = jax.jit(connect, static_argnums=3)
+
+
 def random_roadmap(seed, num=40, slots=24, radius=0.45, masked=0):
     nodes = jax.random.uniform(jax.random.key(seed), (num, 3))
-    return jax.jit(connect, static_argnums=3)(nodes, jnp.arange(num) < num - masked, radius, slots)
+    return jitted_connect(nodes, jnp.arange(num) < num - masked, radius, slots)
 
 
 def adjacency(roadmap, keep=None):
@@ -46,6 +49,21 @@ def test_the_graph_stays_symmetric_when_slots_run_out_and_says_what_it_dropped()
     lost = ((adjacency(full) > 0).sum() - (matrix > 0).sum()) // 2
     assert short.num_dropped == lost
     assert lost > 0
+
+
+def test_the_graph_stays_symmetric_where_neighbors_are_equally_far():
+    grid = jnp.stack(jnp.meshgrid(*[jnp.arange(5.0)] * 2), axis=-1).reshape(-1, 2)
+    nodes = jnp.concatenate([grid, grid[:3]])  # and some twice
+    for slots in (3, 6, 28):
+        roadmap = jitted_connect(nodes, jnp.ones(28, bool), 1.5, slots)
+        joined = np.zeros((28, 28), int)
+        for i, k in np.argwhere(np.asarray(roadmap.neighbor_mask)):
+            joined[i, roadmap.neighbors[i, k]] += 1
+        np.testing.assert_array_equal(joined, joined.T)
+        assert joined.max() == 1
+        whole = np.asarray(cdist(nodes, nodes) <= 1.5).sum() - 28
+        assert int(roadmap.num_dropped) == (whole - joined.sum()) // 2
+    assert roadmap.num_dropped == 0
 
 
 def test_reverse_slots_lead_back():

@@ -100,12 +100,12 @@ def test_an_arm_that_always_collides_is_refused(tmp_path):
 
 def test_start_and_goal_join_a_stored_roadmap(robot, stored):
     radius = default_radius(robot, NUM + 2)
-    joined = jax.jit(insert_ends)
+    joined = jax.jit(lambda *args: insert_ends(*args, radius))
     rng = np.random.default_rng(0)
     before = {(i + 2, j + 2) for i, j in edges(stored)}
     for _ in range(3):
         ends = rng.uniform(robot.joint_lower, robot.joint_upper, (2, 3)).astype(np.float32)
-        roadmap = jax.tree.map(np.asarray, joined(stored, *ends, radius))
+        roadmap = jax.tree.map(np.asarray, joined(stored, *ends))
         np.testing.assert_array_equal(roadmap.nodes[:2], ends)
         np.testing.assert_array_equal(roadmap.nodes[2:], stored.nodes)
         found = edges(roadmap)
@@ -154,15 +154,19 @@ def test_ends_are_joined_with_their_local_nodes_and_with_each_other(stored, wide
             assert sum(j >= first for j in around) >= 10
             assert not set(around) & others
     within = {(i, j) for i, j in found if min(i, j) >= first}
-    assert within == {(i + first, j + first) for i, j in edges(stored)}
+    # A node with too many neighbors keeps the nearest, which are local ones.
+    assert within < {(i + first, j + first) for i, j in edges(stored)}
+    assert len(within) > 0.9 * len(edges(stored))
 
 
-def test_nodes_that_the_limits_make_equal_are_not_joined(robot, stored, widen):
+def test_nodes_that_the_limits_make_equal_are_left_out(robot, stored, widen):
     # An eighth of the draws around a corner of the limits is cut off to the corner itself. Edges
     # without length would lead a search around in circles.
     ends = np.array([robot.joint_upper, [1, 1, 0]], np.float32)
     roadmap = widen(0, stored, *ends)
     same = (roadmap.nodes[2 : 2 + NUM_LOCAL] == ends[0]).all(axis=1)
     assert 2 <= same.sum() < NUM_LOCAL / 2
+    np.testing.assert_array_equal(roadmap.node_mask[2 : 2 + NUM_LOCAL], ~same)
+    assert roadmap.node_mask[:2].all()
     edges(roadmap)
     assert roadmap.lengths[roadmap.neighbor_mask].min() > 0
