@@ -37,7 +37,7 @@ class PlanConfig:
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up."""
     weights: Path | None = None
-    """Checkpoint of the network, or name of shipped weights; by default those for the robot."""
+    """Checkpoint of the network, or name of shipped weights; by default those for the planner."""
     checker: Backend = "fused"
     """Collision backend."""
     seed: int = 0

@@ -124,10 +124,11 @@ def connect_where(
         jax.lax.top_k(jnp.where(within, -squared, -jnp.inf), num_slots)
     )
     degree = within.sum(axis=1)
-    # What a node with too many neighbours reaches; the others must respect it.
-    reach = jnp.where(degree > num_slots, -negative[:, -1], jnp.inf)
     own = jnp.arange(num)[:, None]
-    mask = jnp.isfinite(negative) & (-negative <= reach[neighbors]) & (-negative <= reach[:, None])
+    # Both must keep each other. Distances alone do not tell: of two nodes equally far, one may have
+    # the last slot.
+    kept = jnp.zeros((num, num), bool).at[own, neighbors].set(jnp.isfinite(negative))
+    mask = jnp.isfinite(negative) & kept[neighbors, own]
     lengths = jnp.sqrt(jnp.where(mask, -negative, 0.0))
     return Roadmap(
         nodes=nodes,

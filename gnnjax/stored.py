@@ -146,6 +146,10 @@ def add_local_nodes(
     is_local = (side < 2) & ~is_end
     apart = ~jnp.eye(num, dtype=bool)
     mask = jnp.concatenate([jnp.ones(num - len(stored.nodes), bool), stored.node_mask])
+    # Draws beyond a corner of the limits all end there. One of them is enough: edges without length
+    # would lead a search in circles.
+    equal = jnp.all(nodes[:, None] == nodes, axis=-1)
+    mask &= ~jnp.any(jnp.tril(equal, -1), axis=1) | is_end
 
     def join(squared: Float[Array, "N N"]) -> Bool[Array, "N N"]:
         def nearest(allowed: jax.Array, count: int) -> jax.Array:
@@ -156,7 +160,7 @@ def add_local_nodes(
         same_side = (side[:, None] == side) & ~stored_node & apart
         joined = stored_node[:, None] & stored_node & (squared <= radius**2) & apart
         joined |= nearest(~stored_node[:, None] & stored_node & mask, _NEAR_NODES)
-        joined |= nearest(same_side & is_local[:, None] & is_local, _NEAR_LOCAL)
+        joined |= nearest(same_side & is_local[:, None] & is_local & mask, _NEAR_LOCAL)
         joined |= same_side & is_end[:, None]
         joined |= is_end[:, None] & is_end & apart
         return joined | joined.T

@@ -9,14 +9,16 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
 from gnnjax.collision import EdgeChecks
-from gnnjax.labels import edge_validity, label_roadmap
+from gnnjax.labels import cost_to_go, edge_validity, for_each_edge, label_roadmap
 from gnnjax.roadmap import connect, graphs_tuple, radius_for_degree, reverse_slots
 from gnnjax.robot import load_robot
+
+jitted_connect = jax.jit(connect, static_argnums=3)
 
 
 def random_roadmap(seed, num=40, slots=24, radius=0.45, masked=0):
     nodes = jax.random.uniform(jax.random.key(seed), (num, 3))
-    return jax.jit(connect, static_argnums=3)(nodes, jnp.arange(num) < num - masked, radius, slots)
+    return jitted_connect(nodes, jnp.arange(num) < num - masked, radius, slots)
 
 
 def adjacency(roadmap, keep=None):
@@ -46,6 +48,21 @@ def test_the_graph_stays_symmetric_when_slots_run_out_and_says_what_it_dropped()
     lost = ((adjacency(full) > 0).sum() - (matrix > 0).sum()) // 2
     assert short.num_dropped == lost
     assert lost > 0
+
+
+def test_the_graph_stays_symmetric_where_neighbors_are_equally_far():
+    grid = jnp.stack(jnp.meshgrid(*[jnp.arange(5.0)] * 2), axis=-1).reshape(-1, 2)
+    nodes = jnp.concatenate([grid, grid[:3]])  # and some twice
+    for slots in (3, 6, 28):
+        roadmap = jitted_connect(nodes, jnp.ones(28, bool), 1.5, slots)
+        joined = np.zeros((28, 28), int)
+        for i, k in np.argwhere(np.asarray(roadmap.neighbor_mask)):
+            joined[i, roadmap.neighbors[i, k]] += 1
+        np.testing.assert_array_equal(joined, joined.T)
+        assert joined.max() == 1
+        whole = np.asarray(cdist(nodes, nodes) <= 1.5).sum() - 28
+        assert int(roadmap.num_dropped) == (whole - joined.sum()) // 2
+    assert roadmap.num_dropped == 0
 
 
 def test_reverse_slots_lead_back():
@@ -113,3 +130,44 @@ def test_every_undirected_edge_is_checked_once():
     np.testing.assert_array_equal(labelled.edge_valid, expected)
     undirected = int(roadmap.neighbor_mask.sum()) // 2
     assert int(labelled.num_edge_checks) == int(labelled.num_checks) == undirected
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_cost_to_go_that_stops_early_is_exact_at_the_start_and_on_its_way(seed):
+    roadmap = random_roadmap(seed)
+    slots = roadmap.neighbors.shape[1]
+    draws = np.random.default_rng(seed).exponential(size=roadmap.neighbors.size)
+    index = np.arange(draws.size).reshape(-1, slots)
+    extra = draws[np.minimum(index, np.asarray(reverse_slots(roadmap)))]
+    extra = np.where(extra > 1.5, np.inf, extra).astype(np.float32)
+    cost = np.asarray(roadmap.lengths) + extra
+    num, mask = len(roadmap.nodes), np.asarray(roadmap.neighbor_mask) & np.isfinite(cost)
+    senders, used = np.nonzero(mask)
+    receivers = np.asarray(roadmap.neighbors)[senders, used]
+    graph = csr_matrix((cost[senders, used].astype(float), (senders, receivers)), (num, num))
+    expected, way = dijkstra(graph, indices=1, return_predecessors=True)
+    for start in range(0, num, 7):
+        found = np.asarray(early_cost_to_go(roadmap, jnp.asarray(cost), jnp.int32(start)))
+        np.testing.assert_allclose(found[start], expected[start], rtol=1e-5)
+        assert (found >= expected * (1 - 1e-5)).all()
+        node = start
+        while np.isfinite(expected[start]) and node != 1:
+            node = way[node]
+            np.testing.assert_allclose(found[node], expected[node], rtol=1e-5, atol=1e-7)
+
+
+early_cost_to_go = jax.jit(lambda roadmap, cost, start: cost_to_go(roadmap, cost, 1, start))
+
+
+@pytest.mark.parametrize("block", [16, 256])
+def test_a_value_of_each_edge_agrees_with_a_loop(block):
+    roadmap = random_roadmap(5, masked=4)
+
+    def value(starts, ends):
+        return jnp.sum(starts * ends, axis=-1) + 1.0
+
+    found = np.asarray(jax.jit(lambda r: for_each_edge(r, value, block))(roadmap))
+    nodes, expected = np.asarray(roadmap.nodes), np.zeros(found.shape)
+    for i, k in zip(*np.nonzero(np.asarray(roadmap.neighbor_mask)), strict=True):
+        expected[i, k] = nodes[i] @ nodes[roadmap.neighbors[i, k]] + 1.0
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
