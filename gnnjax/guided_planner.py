@@ -33,12 +33,15 @@ from gnnjax.robot import Robot
 from gnnjax.scene import Scene, is_axis_aligned
 from gnnjax.search import GOAL, INVALID
 from gnnjax.shorten import NUM_POINTS
-from gnnjax.stored import add_local_nodes, insert_ends, stored_roadmap
+from gnnjax.stored import NUM_LOCAL, add_local_nodes, insert_ends, stored_roadmap
 from gnnjax.workspace import arm_view
 
 # nats; a roadmap whose best path is less likely to be free than e^-this waits until all others
 # were tried.
 GIVE_UP = 4.0
+
+# Nodes of the roadmaps after the first, at least: what a small one does not solve is hard.
+_WIDE_NODES = 400
 
 _ROADMAPS_A_SEED = 1000  # seeds of stored roadmaps: of query seed s, from 1000 s on
 
@@ -69,7 +72,8 @@ class GuidedPlanner:
         """Args:
         robot: the arm.
         network: what tells free motions from blocked ones.
-        num_nodes: nodes of a roadmap, start and goal included.
+        num_nodes: nodes of the first roadmap, start and goal included; the others have 400, or as
+            many if that is more, and 64 around either end.
         max_roadmaps: roadmaps to try.
         shorten: shorten paths before they are checked.
         sampled: search roadmaps whose nodes are drawn and tested for each query, like those of
@@ -90,6 +94,7 @@ class GuidedPlanner:
         self.shorten, self.sampled = shorten, sampled
         self.resolution, self.time_limit = resolution, time_limit
         self.radius = default_radius(robot, num_nodes)
+        self.wide_nodes = max(num_nodes, _WIDE_NODES)
         # Apart, so that weights are arguments of the compiled functions and not constants in them.
         self._graphdef, self._weights = nnx.split(network)
 
@@ -132,11 +137,13 @@ class GuidedPlanner:
                 break
             kept.append(batch.begin(number))
             batch.work(kept[-1], GIVE_UP)
-        # No roadmap had a likely path: now the unlikely ones.
-        for attempt in kept:
-            if not batch.going_on().any():
-                break
-            batch.work(attempt, np.inf)
+        # No roadmap had a likely path: now the unlikely ones, each problem's least unlikely first.
+        order = np.argsort([attempt.price for attempt in kept], axis=0, kind="stable")
+        for chosen in order:
+            for number, attempt in enumerate(kept):
+                rows = chosen == number
+                if (rows & batch.going_on()).any():
+                    batch.work(attempt, np.inf, rows)
         return batch.plans()
 
     def warm_up(self, problems: Problem) -> None:
@@ -192,7 +199,8 @@ class GuidedPlanner:
         def widen(weights, stored, key, problem: Problem) -> SampledRoadmap:
             price = prices_in(weights, problem.scene).nodes
             ends = problem.start, problem.goal
-            roadmap = add_local_nodes(key, stored, *ends, self.radius, limits, price)
+            radius = default_radius(self.robot, self.wide_nodes)
+            roadmap = add_local_nodes(key, stored, *ends, radius, limits, price)
             return SampledRoadmap(roadmap, jnp.int32(0))
 
         def build(make: Callable) -> Callable:
@@ -258,13 +266,14 @@ def _path_status(num: int) -> tuple[int, int, int]:
     return num, NUM_POINTS, NUM_POINTS
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(eq=False)
 class _Attempt:
     """The roadmaps of one attempt, and what is known of them."""
 
     roadmaps: Roadmap
     knowledge: Knowledge
     price_all: bool
+    price: np.ndarray  # [P] nats, of the cheapest path when it was last searched; inf without one
 
 
 class _Batch:
@@ -291,11 +300,12 @@ class _Batch:
         planner, active = self.planner, self.going_on()
         start = time.perf_counter()
         key = jax.random.fold_in(jax.random.key(self.seed), number)
+        wide = number > 0 and not planner.sampled
         stored = None
         if not planner.sampled:
             seed = self.seed * _ROADMAPS_A_SEED + number
-            stored = stored_roadmap(planner.robot, planner.num_nodes - 2, seed)
-        wide = number > 0 and not planner.sampled
+            num_nodes = planner.wide_nodes if wide else planner.num_nodes
+            stored = stored_roadmap(planner.robot, num_nodes - 2, seed)
         make = self.functions.widen if wide else self.functions.begin
         sampled, knowledge = jax.block_until_ready(
             make(planner._weights, stored, key, self.problems, active)
@@ -304,11 +314,11 @@ class _Batch:
         self.total_time += np.where(active, taken, 0)
         self.sampling_checks += np.where(active, sampled.num_checks, 0)
         self.roadmaps += active
-        return _Attempt(sampled.roadmap, knowledge, wide)
+        return _Attempt(sampled.roadmap, knowledge, wide, np.full(len(active), np.inf))
 
-    def work(self, attempt: _Attempt, max_price: float) -> None:
+    def work(self, attempt: _Attempt, max_price: float, rows: np.ndarray | bool = True) -> None:
         """Searches roadmaps until paths are certified, or too dear, or there are none."""
-        begin, open_ = time.perf_counter(), self.going_on()
+        begin, open_ = time.perf_counter(), self.going_on() & rows
         worked_on = open_.copy()
         if self.planner.shorten:
             # Checked are single edges, which cannot be shortened. Longer paths are shortened first.
@@ -345,6 +355,7 @@ class _Batch:
             )
         )
         self._count(found, rows)
+        attempt.price = np.where(rows, found.price, attempt.price)
         return found
 
     def _shorten(self, found: Found, rows: np.ndarray) -> None:
@@ -420,7 +431,7 @@ class _Batch:
             make_plan(
                 path,
                 f"no path in the {self.roadmaps[i]} roadmaps tried ({self.planner.num_nodes} "
-                f"nodes, radius {self.planner.radius:.2f})",
+                f"nodes, then {self.planner.wide_nodes} and {2 * NUM_LOCAL} around the ends)",
                 self.planner.robot.num_dof,
                 edge_checks=int(self.edge_checks[i]),
                 sampling_checks=int(self.sampling_checks[i]),
