@@ -11,7 +11,8 @@ import pytest
 import tyro
 
 from experiments import crossover, failures, figure5, figure7, hard, measure, run_all
-from experiments.cases import CLASSICAL, classical_case, own_case
+from experiments.bounds import first_roadmap, per_verification
+from experiments.cases import CLASSICAL, GUIDED, classical_case, own_case
 from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
 from gnnjax.errors import InputError
@@ -56,8 +57,9 @@ def test_quick_forms_write_results_and_figures_and_go_on(
 
     monkeypatch.setattr(measure, "evaluate", counted)
     own = {*get_args(Method), "gnn_paper"}
+    more = {"guided@0.02", "ompl:rrt_connect@0.02", "ompl:rrt_connect@simplified"}
     expected = {
-        "figure5": own | set(CLASSICAL) | {"ompl:rrt_connect@0.02"},
+        "figure5": own | set(GUIDED) | set(CLASSICAL) | more,
         "figure7": own | set(CLASSICAL) | {"gnn_own", "gnn_lazy_own"},
         "crossover": {*crossover.OWN, *crossover.RIVALS},
         "hard": set(hard.PLANNERS),
@@ -262,6 +264,41 @@ def test_failures_are_those_of_the_rows():
     assert measured["swinging"]["mean"] == measured["reversals"]["mean"] == pytest.approx(1 / 2)
     assert measured["failure_end_in_voxel"]["mean"] == 0
     assert measured["failure_ends_clear_of_voxels"]["mean"] == 1
+
+
+def test_checks_are_counted_by_those_of_the_path():
+    def row(edges, checks, cost, roadmaps=1, hard=True):
+        return {
+            "valid": True,
+            "hard": hard,
+            "success": edges > 0,
+            "roadmaps": roadmaps,
+            "path": [[0.0]] * (edges + 1) if edges else [],
+            "cost": cost,
+            "edge_checks": checks,
+            "configuration_checks": 10 * checks,
+        }
+
+    # Hard and on the first roadmap; the same; put off for another roadmap; no path; not hard.
+    found = [[row(2, 6, 3.0), row(4, 4, 4.0), row(3, 9, 5.0, 2), row(0, 7, None, 8)]]
+    found[0].append(row(1, 1, 1.0, hard=False))
+    shortest = [[row(3, 9, 2.0), row(4, 8, 4.0), row(3, 3, 5.0), row(0, 9, None, 8)]]
+    shortest[0].append(row(1, 1, 1.0, hard=False))
+    ratios = first_roadmap(found, shortest, shortest, shortest)
+    means = {name: part["mean"] for name, part in ratios.items()}
+    assert means == pytest.approx(
+        {
+            "edges": 3,
+            "per_edge": 2,
+            "share": 2 / 3,
+            "per_guided_edge": (6 / 3 + 4 / 4) / 2,
+            "per_shortest_edge": (6 / 3 + 4 / 4 + 9 / 3) / 3,
+            "cost_ratio": (1.5 + 1) / 2,
+        }
+    )
+    measured = per_verification(found, 0.1)
+    assert measured["hard"]["median"] == pytest.approx(np.median([60 / 30, 40 / 40, 90 / 50]))
+    assert measured["all"]["mean"] == pytest.approx(np.mean([60 / 30, 40 / 40, 90 / 50, 10 / 10]))
 
 
 def test_a_quick_look_leaves_the_real_results_alone():
