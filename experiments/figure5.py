@@ -54,13 +54,15 @@ class Figure5Config(ExperimentConfig):
     """Roadmap sizes."""
     num_problems: int = 300
     """Problems of each set."""
+    fine_num_nodes: tuple[int, ...] = (200, 1000)
+    """Roadmap sizes of the default planner with edges tested every 0.02 rad."""
 
 
 def run(config: Figure5Config) -> None:
     """Measures what is missing and draws the figure."""
     if config.quick:
         config = dataclasses.replace(
-            config, num_nodes=(30,), num_problems=3, seeds=config.seeds[:1]
+            config, num_nodes=(30,), num_problems=3, seeds=config.seeds[:1], fine_num_nodes=()
         )
     rows = save_results(config, "figure5", CLAIM, _rows(config), paper=PAPER)
     draw([row for row in rows if row["set"] == "test"], config.out / "figure5.png")
@@ -89,7 +91,7 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
             key = {"set": name, "planner": planner, "num_nodes": None}
             yield key | _measured(config, case)
     # At the resolution of an earlier measurement with PyBullet, to compare.
-    for num_nodes in sorted({config.num_nodes[0], config.num_nodes[-1]}):
+    for num_nodes in config.fine_num_nodes:
         for name, path in sets.items():
             case = own_case(path, robot, "guided@0.02", num_nodes, num)
             key = {"set": name, "planner": "guided@0.02", "num_nodes": num_nodes}
