@@ -5,10 +5,13 @@
 The paper names these in words, without numbers. Measured here on the test problems, from the same
 runs as Figure 5:
 
-- dead ends: roadmaps that hold a path, which the search does not find;
+- dead ends: roadmaps that hold a path, which the search does not find, or puts off for the next;
 - long paths: cost over that of the roadmap's shortest path, for the same problem and roadmap;
 - swinging back and forth: consecutive motions that turn by more than 90 degrees;
 - the grid: starts and goals that are free, and in collision with the voxels the network sees.
+
+"guided" searches roadmaps of its own, so that dead ends and costs are beside those of others;
+"guided_sampled" searches the same ones.
 """
 
 import dataclasses
@@ -43,7 +46,7 @@ from gnnjax.robot import load_robot
 from gnnjax.scene import Scene
 
 CLAIM = "What fails: dead ends, long paths, swinging back and forth, and a grid that is too coarse."
-PLANNERS = ("gnn_paper", "gnn", "gnn_lazy", "distance")
+PLANNERS = ("guided", "guided_sampled", "gnn_paper", "gnn", "gnn_lazy", "distance")
 REVERSAL = -1e-6  # cosine of the angle between two motions, below which the path turns back
 
 
@@ -168,17 +171,20 @@ PANELS = (
 def draw(rows: list[dict[str, Any]], out: Path) -> None:
     """Draws bars with intervals, a group a roadmap size."""
     figure = Figure(figsize=(12, 3.6), layout="constrained")
-    sizes = sorted({row["num_nodes"] for row in rows})
+    sizes, width = sorted({row["num_nodes"] for row in rows}), 0.8 / len(PLANNERS)
     for column, (name, title, scale) in enumerate(PANELS, start=1):
         axes = figure.add_subplot(1, 3, column)
         for offset, planner in enumerate(PLANNERS):
             chosen = [row for row in rows if row["planner"] == planner and row[name]]
-            at = [sizes.index(row["num_nodes"]) + 0.2 * (offset - 1.5) for row in chosen]
+            place = width * (offset - (len(PLANNERS) - 1) / 2)
+            at = [sizes.index(row["num_nodes"]) + place for row in chosen]
             mean = np.array([scale * row[name]["mean"] for row in chosen])
             ends = [[scale * row[name][end] for row in chosen] for end in ("low", "high")]
             error = np.maximum([mean - ends[0], ends[1] - mean], 0)
             color = COLORS[planner]
-            axes.bar(at, mean, 0.18, yerr=error, color=color, label=label(planner), capsize=2)
+            axes.bar(
+                at, mean, 0.9 * width, yerr=error, color=color, label=label(planner), capsize=2
+            )
         axes.set_xticks(range(len(sizes)), [f"N = {n}" for n in sizes])
         axes.set_title(title)
         if name == "cost_ratio":

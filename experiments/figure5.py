@@ -3,9 +3,13 @@
     python -m experiments.figure5
 
 The paper's Figure 5 on the KUKA iiwa 14: roadmaps of 200 to 1000 nodes, 300 test problems of its
-distribution. Beside its planners stand those that it leaves out: RRT-Connect, LazySP, and a greedy
-walk by the distance to the goal. The same is measured on the first 300 public problems, if
-`data/kuka_iiwa14_public.npz` is there (`python -m experiments.convert_public` makes it).
+distribution. Beside its planners stand the default planner, as it is and with parts left out, and
+those that the paper leaves out: RRT-Connect, LazySP, and a greedy walk by the distance to the goal.
+The same is measured on the first 300 public problems, if `data/kuka_iiwa14_public.npz` is there
+(`python -m experiments.convert_public` makes it).
+
+How near checks come to those of the returned path alone is measured for the planners of `BOUNDED`,
+see `bounds.py`.
 """
 
 import dataclasses
@@ -17,13 +21,19 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
-from experiments.cases import CLASSICAL, classical_case, own_case
-from experiments.measure import ExperimentConfig, measure, problem_sets, save_results
+from experiments.bounds import first_roadmap, per_verification
+from experiments.cases import CLASSICAL, GUIDED, classical_case, own_case
+from experiments.measure import ExperimentConfig, measure, problem_sets, run_seed, save_results
 from experiments.style import BAND, COLORS, label
 from gnnjax.errors import atomic_write, run_command
+from gnnjax.evaluate import EvaluateConfig
 from gnnjax.planner import Method
 
 CLAIM = "A learned guide finds paths with fewer collision checks than PRM, RRT* and BIT* in R^7."
+
+PLANNERS = tuple(dict.fromkeys((*GUIDED, *get_args(Method), "gnn_paper")))
+# On the same roadmaps: how many edges they check for each edge of the path.
+BOUNDED = ("guided_sampled", "gnn_lazy", "lazysp", "gnn", "distance", "oracle")
 
 # What the paper states of its Figure 5 in words, over all roadmap sizes.
 PAPER = {
@@ -44,13 +54,15 @@ class Figure5Config(ExperimentConfig):
     """Roadmap sizes."""
     num_problems: int = 300
     """Problems of each set."""
+    fine_num_nodes: tuple[int, ...] = (200, 1000)
+    """Roadmap sizes of the default planner with edges tested every 0.02 rad."""
 
 
 def run(config: Figure5Config) -> None:
     """Measures what is missing and draws the figure."""
     if config.quick:
         config = dataclasses.replace(
-            config, num_nodes=(30,), num_problems=3, seeds=config.seeds[:1]
+            config, num_nodes=(30,), num_problems=3, seeds=config.seeds[:1], fine_num_nodes=()
         )
     rows = save_results(config, "figure5", CLAIM, _rows(config), paper=PAPER)
     draw([row for row in rows if row["set"] == "test"], config.out / "figure5.png")
@@ -61,21 +73,40 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
     num = config.num_problems
     sets = problem_sets(config, robot, num)
     for num_nodes in config.num_nodes:
-        for planner in (*get_args(Method), "gnn_paper"):
+        for planner in PLANNERS:
             for name, path in sets.items():
                 case = own_case(path, robot, planner, num_nodes, num)
-                key = {"set": name, "planner": planner, "num_nodes": num_nodes}
-                yield key | measure(case, config.seeds, config.runs)
-    for planner in CLASSICAL:
+                row = {"set": name, "planner": planner, "num_nodes": num_nodes}
+                row |= _measured(config, case)
+                if planner in BOUNDED:
+                    compared = (
+                        _problems(config, own_case(path, robot, p, num_nodes, num))
+                        for p in (planner, "guided_sampled", "lazysp", "prm")
+                    )
+                    row["first_roadmap"] = first_roadmap(*compared)
+                yield row
+    for planner in (*CLASSICAL, "ompl:rrt_connect@simplified", "ompl:rrt_connect@0.02"):
         for name, path in sets.items():
             case = classical_case(path, robot, planner, num)
             key = {"set": name, "planner": planner, "num_nodes": None}
-            yield key | measure(case, config.seeds, config.runs)
+            yield key | _measured(config, case)
     # At the resolution of an earlier measurement with PyBullet, to compare.
-    for name, path in sets.items():
-        case = classical_case(path, robot, "ompl:rrt_connect", num)
-        key = {"set": name, "planner": "ompl:rrt_connect@0.02", "num_nodes": None}
-        yield key | measure(dataclasses.replace(case, resolution=0.02), config.seeds, config.runs)
+    for num_nodes in config.fine_num_nodes:
+        for name, path in sets.items():
+            case = own_case(path, robot, "guided@0.02", num_nodes, num)
+            key = {"set": name, "planner": "guided@0.02", "num_nodes": num_nodes}
+            yield key | _measured(config, case)
+
+
+def _measured(config: Figure5Config, case: EvaluateConfig) -> dict[str, Any]:
+    """What every planner is measured by."""
+    measured = measure(case, config.seeds, config.runs)
+    ratio = per_verification(_problems(config, case), case.resolution)
+    return measured | {"per_verification": ratio}
+
+
+def _problems(config: Figure5Config, case: EvaluateConfig) -> list[list[dict]]:
+    return [run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
 
 
 PANELS = (

@@ -4,8 +4,8 @@
 
 The paper's Figure 7 on the Kinova Gen3: N = 400, 300 test problems. The networks are those of the
 Kuka, its seventh joint fixed, as in the paper. Beside them stand a network trained on the Kinova
-itself and the planners that the paper leaves out: LazySP, a greedy walk by the distance to the
-goal, and RRT-Connect.
+itself, the default planner, whose network serves all arms, and the planners that the paper leaves
+out: LazySP, a greedy walk by the distance to the goal, and RRT-Connect.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ from experiments.style import COLORS, draw_bars
 from gnnjax.checkpoint import find_weights
 from gnnjax.errors import InputError, atomic_write, run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planner import NETWORK_METHODS, Method
+from gnnjax.planner import Method
 
 CLAIM = "A guide trained in R^7 saves collision checks and planning time in R^6."
 
@@ -31,6 +31,7 @@ PAPER = {
     "edge_checks": {"than": "prm", "saved": 0.997},
     "planning_time_s": {"than": "ompl:bit_star", "saved": 0.986},
 }
+GUIDANCE_METHODS = ("gnn", "gnn_lazy")
 TRANSFERRED = Path("kuka_iiwa14")  # weights; by default an arm gets its own
 
 
@@ -64,10 +65,10 @@ def cases(config: Figure7Config) -> dict[str, EvaluateConfig]:
         return case if weights is None else dataclasses.replace(case, weights=weights)
 
     named = {planner: own(planner) for planner in (*get_args(Method), "gnn_paper")}
-    named |= {planner: own(planner, TRANSFERRED) for planner in NETWORK_METHODS}
+    named |= {planner: own(planner, TRANSFERRED) for planner in GUIDANCE_METHODS}
     try:
         find_weights(config.weights)
-        named |= {f"{planner}_own": own(planner, config.weights) for planner in NETWORK_METHODS}
+        named |= {f"{planner}_own": own(planner, config.weights) for planner in GUIDANCE_METHODS}
     except InputError as error:
         print(f"{error}; left out")
     return named | {planner: classical_case(problems, robot, planner, num) for planner in CLASSICAL}

@@ -8,7 +8,7 @@ import numpy as np
 from experiments.measure import statistics
 from experiments.style import BAND
 
-GUIDES = ("gnn", "gnn_lazy")
+GUIDES = ("guided", "gnn", "gnn_lazy")
 
 # Seconds a configuration check may cost: a grid for the curves, and a fine one for crossovers.
 DEARNESS = np.geomspace(1e-8, 1e-1, 36)

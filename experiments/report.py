@@ -11,10 +11,21 @@ from pathlib import Path
 import tyro
 
 from experiments import paper
+from experiments.figure5 import BOUNDED
 from experiments.measure import load_results
 from experiments.price import GUIDES
 from experiments.style import label
-from experiments.tables import DETAIL, Row, both, cell, interval, markdown, planner_table, seconds
+from experiments.tables import (
+    DETAIL,
+    MAIN,
+    Row,
+    both,
+    cell,
+    interval,
+    markdown,
+    planner_table,
+    seconds,
+)
 from gnnjax.errors import InputError, atomic_write, run_command
 
 SETS = {"test": "The project's own 300 test problems", "public": "The first 300 public problems"}
@@ -45,17 +56,65 @@ def measured_on(results: Row, row: Row) -> str:
     )
 
 
+# What the README shows of Figure 5, in this order; everything is in docs/results.md.
+SHORT_PLANNERS = (
+    *("ompl:rrt_connect", "ompl:rrt_connect@simplified", "ompl:bit_star"),
+    *("prm", "lazysp", "distance", "gnn_paper", "guided"),
+)
+SHORT_SIZES = (None, 200, 1000)
+
+
 def main_tables(results: Row) -> dict[str, str]:
-    """The README's table of each problem set."""
+    """The README's short table of each problem set."""
     texts = {}
     for name in SETS:
-        chosen = [row for row in results["rows"] if row["set"] == name]
+        found = {
+            (row["planner"], row["num_nodes"]): row for row in results["rows"] if row["set"] == name
+        }
+        keys = [(planner, n) for n in SHORT_SIZES for planner in SHORT_PLANNERS]
+        chosen = [found[key] for key in keys if key in found]
         if chosen:
-            commands = f"A row is made by\n\n```sh\n{chosen[0]['command']}\n```\n"
+            commands = f"The last row is made by\n\n```sh\n{chosen[-1]['command']}\n```\n"
             texts[name] = "\n".join(
-                [planner_table(chosen), measured_on(results, chosen[0]) + " " + commands]
+                [planner_table(chosen), measured_on(results, chosen[-1]) + " " + commands]
             )
     return texts
+
+
+def bounds_table(rows: list[Row]) -> str:
+    """Edge checks per edge of the path, hard problems whose first roadmap holds one."""
+
+    def ratio(part: Row | None) -> str:
+        return f"{interval(part, '.2f')}, {cell(part, '.1f', key='p95')}"
+
+    lines = []
+    for num_nodes in sorted({row["num_nodes"] for row in rows if row["num_nodes"]}):
+        found = {row["planner"]: row for row in rows if row["num_nodes"] == num_nodes}
+        for planner in BOUNDED:
+            part = found[planner]["first_roadmap"]
+            lines.append(
+                [str(num_nodes), label(planner)]
+                + [cell(part["share"], ".1f", 100), cell(part["edges"], ".2f")]
+                + [ratio(part[f"per_{kind}edge"]) for kind in ("", "guided_", "shortest_")]
+                + [interval(part["cost_ratio"], ".3f")]
+            )
+    head = ["N", "planner", "found in it, %", "edges of the path", "checks an edge"]
+    head += ["an edge of the guided path", "an edge of LazySP's, all", "cost over PRM's"]
+    return markdown(head, lines)
+
+
+def verification_table(rows: list[Row]) -> str:
+    """Configuration checks over those of the returned path alone."""
+    lines = []
+    for row in rows:
+        shown = row["planner"].startswith(("guided", "ompl:rrt_connect"))
+        if shown and "per_verification" in row:
+            parts = [row["per_verification"][stratum] for stratum in ("all", "hard")]
+            line = [str(row["num_nodes"] or "-"), label(row["planner"])]
+            line += [" / ".join(cell(part, ".2f", key="median") for part in parts)]
+            line += [" / ".join(cell(part, ".2f") for part in parts)]
+            lines.append(line)
+    return markdown(["N", "planner", "median", "mean"], lines)
 
 
 def replace_section(text: str, name: str, content: str, source: Path) -> str:
@@ -73,19 +132,24 @@ EARLIER = (("all", 98.8, 450, 3567, 10.3), ("hard", 97.4, 764, 7243, 13.1))
 
 
 def rrt_connect_table(results: Row) -> str:
-    """RRT-Connect at both resolutions on the public problems, beside the earlier measurement."""
+    """RRT-Connect at both resolutions on the public problems, and the default planner at the finer
+    one, beside the earlier measurement."""
+    compared = ("ompl:rrt_connect", "ompl:rrt_connect@0.02", "guided@0.02")
     lines = [
         [f"PyBullet, 0.02 rad, {stratum}", f"{solved}", str(median), str(mean), f"{cost}", "-"]
         for stratum, solved, median, mean, cost in EARLIER
     ]
     for row in results["rows"]:
-        if row["set"] == "public" and row["planner"].startswith("ompl:rrt_connect"):
+        if row["set"] == "public" and row["planner"] in compared:
+            name = "here"
+            if row["num_nodes"]:
+                name = f"guided, N = {row['num_nodes']}"
             for stratum in ("all", "hard"):
                 part = row["summary"][stratum]
                 checks = part["configuration_checks"]
                 lines.append(
                     [
-                        f"here, {row['settings']['resolution']} rad, {stratum}",
+                        f"{name}, {row['settings']['resolution']} rad, {stratum}",
                         cell(part["success"], ".1f", 100),
                         cell(checks, ".0f", key="median"),
                         cell(checks, ".0f"),
@@ -99,7 +163,9 @@ def rrt_connect_table(results: Row) -> str:
 
 def crossover_table(results: Row) -> str:
     """From which price of a configuration check on a guide is faster, hard problems."""
-    columns = [(guide, average) for guide in GUIDES for average in ("mean", "median")]
+    there = {found["guide"] for found in results["crossovers"]}
+    guides = [guide for guide in GUIDES if guide in there]
+    columns = [(guide, average) for guide in guides for average in ("mean", "median")]
     lines: dict[tuple, dict[tuple, str]] = {}
     for found in results["crossovers"]:
         if found["set"] != "test" or found["stratum"] != "hard" or found["rival"] in GUIDES:
@@ -115,10 +181,18 @@ def crossover_table(results: Row) -> str:
 
 def strata_table(rows: list[Row]) -> str:
     """Success and configuration checks, a row a stratum and a column a planner."""
-    planners = list(dict.fromkeys(row["planner"] for row in rows))
+
+    def column(row: Row) -> tuple[str, int | None]:
+        return row["planner"], row["num_nodes"]
+
+    planners = list(dict.fromkeys(map(column, rows)))
+    largest = max((num for _, num in planners if num), default=None)
+    names = [
+        label(p) + (f", N = {num}" if num not in (None, largest) else "") for p, num in planners
+    ]
     lines = []
     for stratum in dict.fromkeys(row["stratum"] for row in rows):
-        chosen = {row["planner"]: row["summary"] for row in rows if row["stratum"] == stratum}
+        chosen = {column(row): row["summary"] for row in rows if row["stratum"] == stratum}
         num = chosen[planners[0]]["all"]["num_problems"]
         if not num:
             continue
@@ -131,7 +205,7 @@ def strata_table(rows: list[Row]) -> str:
                 f"({cell(part['configuration_checks'], '.0f', key='median')})"
             )
         lines.append([stratum.replace("\n", " "), str(num), *cells])
-    return markdown(["stratum", "problems", *map(label, planners)], lines)
+    return markdown(["stratum", "problems", *names], lines)
 
 
 def failures_table(results: Row) -> str:
@@ -160,6 +234,43 @@ def ablation_table(results: Row) -> str:
     return markdown(["variant", *[title for title, _ in DETAIL]], lines)
 
 
+def arms_table(results: Row) -> str:
+    """The default planner on each arm, with weights of different arms."""
+    columns = [column for column in DETAIL if column[0] in ARMS_COLUMNS]
+    lines = []
+    for row in results["rows"]:
+        ratios = [interval(row["to_own"][name], ".2f") for name in ARMS_COMPARED]
+        lines.append(
+            [row["arm"], label(row["planner"])]
+            + [both(row, write) for _, write in columns]
+            + (ratios if row["planner"].startswith("guided") else ["-"] * len(ratios))
+        )
+    head = ["arm", "planner", *[title for title, _ in columns]]
+    head += [f"{name.replace('_', ' ')} over those with its own weights" for name in ARMS_COMPARED]
+    return markdown(head, lines)
+
+
+ARMS_COLUMNS = ("solved, %", "edge checks", "configuration checks", "cost")
+ARMS_COMPARED = ("edge_checks", "configuration_checks")
+
+
+def predictor_table(results: Row) -> str:
+    """Area under the curve and operations of each network and spacing."""
+    checks = results["check_operations"]
+    lines = []
+    for row in results["rows"]:
+        line = [row["network"], f"{row['spacing']:g}"]
+        for arm, check in checks.items():
+            part = row["arms"][arm]
+            share = 100 * part["operations"] / check
+            line += [f"{part['area']:.4f}", f"{part['operations'] / 1e3:.0f}", f"{share:.0f}"]
+        lines.append(line)
+    head = ["network", "pieces up to, rad"]
+    for arm in checks:
+        head += [f"{arm}: area", "thousand operations", "% of a check"]
+    return markdown(head, lines)
+
+
 def results_page(results: dict[str, Row]) -> str:
     """docs/results.md."""
     figure5, figure7, hard = results["figure5"], results["figure7"], results["hard"]
@@ -180,7 +291,7 @@ def results_page(results: dict[str, Row]) -> str:
         parts.extend(
             [
                 f"## {title}\n",
-                f"Claim: {found['claim']} {VERDICTS[name]}\n",
+                f"Claim: {found['claim']} {VERDICTS.get(name, '')}".rstrip() + "\n",
                 f"`python -m experiments.{name}`, [JSON](../results/{name}.json)\n",
                 f"![{title}](../results/{name}.png)\n",
                 *body,
@@ -192,10 +303,16 @@ def results_page(results: dict[str, Row]) -> str:
         chosen = [row for row in figure5["rows"] if row["set"] == name]
         if chosen:
             tables += [f"### {title}\n", measured_on(figure5, chosen[0]) + "\n"]
-            tables.append(planner_table(chosen, DETAIL))
+            tables += ["#### As planners are seen\n", planner_table(chosen, MAIN)]
+            tables += ["#### With intervals\n", planner_table(chosen, DETAIL)]
+            if any("first_roadmap" in row for row in chosen):
+                tables += ["#### Edge checks per edge of the path\n", BOUNDS_NOTE]
+                tables += [bounds_table(chosen)]
+                tables += ["#### Configuration checks over those of the path alone\n"]
+                tables += [VERIFICATION_NOTE, verification_table(chosen)]
     section("figure5", "Seven joints, over roadmap sizes", *tables)
     if any(row["set"] == "public" for row in figure5["rows"]):
-        parts += ["### RRT-Connect beside an earlier measurement\n", rrt_connect_table(figure5)]
+        parts += ["### Beside an earlier measurement of RRT-Connect\n", rrt_connect_table(figure5)]
         parts.append(RRT_CONNECT_NOTE)
     section(
         "figure7",
@@ -222,9 +339,32 @@ def results_page(results: dict[str, Row]) -> str:
         f"Start or goal, free in the scene, collides with the occupancy grid (voxels of 15 cm) in "
         f"{100 * share:.0f} % of the problems.\n",
     )
-    section("ablation", "Parts of the network", ablation_table(results["ablation"]))
+    if "arms" in results:
+        found = results["arms"]
+        note = measured_on(found, found["rows"][0]) + "\n"
+        section("arms", "One network for all arms", note, arms_table(found))
+    if "predictor" in results:
+        found = results["predictor"]
+        checks = found["check_operations"].items()
+        check = ", ".join(f"{count / 1e3:.0f} thousand ({arm})" for arm, count in checks)
+        note = (
+            f"Operations on an edge of {found['edge_length']:g} rad; checking it every "
+            f"{found['resolution']:g} rad takes {check}.\n"
+        )
+        section("predictor", "Telling edges apart", note, predictor_table(found))
+    section("ablation", "Parts of the guidance network", ablation_table(results["ablation"]))
     return "\n".join(parts)
 
+
+BOUNDS_NOTE = """Hard problems whose first roadmap holds a path. "Found in it": the share of them
+that the planner solves on that roadmap, and of which its edges, checks and cost are shown. Cells:
+mean (95 % interval), 95th percentile. No search can do with less than one check an edge of its
+path. "All" are also those where the planner found no path in that roadmap, and went on to others.
+"""
+
+VERIFICATION_NOTE = """Of solved problems, all / hard: configuration checks, sampling included, over
+cost / resolution, which is what testing the returned path takes.
+"""
 
 RRT_CONNECT_NOTE = """The medians, the share solved and the cost are close to the earlier ones. What
 differs: the problems are others of the same source; arms collide as spheres that stand out from the
@@ -255,10 +395,16 @@ VERDICTS = {
 }
 
 
+EXPERIMENTS = ("figure5", "figure7", "crossover", "hard", "failures", "ablation")
+LATER = ("arms", "predictor")  # sections that are left out until they were measured
+
+
 def texts(config: ReportConfig) -> dict[Path, str]:
     """What every file with results should hold."""
-    names = ("figure5", "figure7", "crossover", "hard", "failures", "ablation")
-    results = {name: load_results(config.results / f"{name}.json") for name in names}
+    results = {name: load_results(config.results / f"{name}.json") for name in EXPERIMENTS}
+    for name in LATER:
+        if (config.results / f"{name}.json").exists():
+            results[name] = load_results(config.results / f"{name}.json")
     readme = config.readme.read_text(encoding="utf-8")
     for name, table in main_tables(results["figure5"]).items():
         readme = replace_section(readme, f"table-{name}", table, config.readme)

@@ -13,7 +13,17 @@ from collections.abc import Callable
 import tyro
 from rich.console import Console
 
-from experiments import ablation, crossover, failures, figure5, figure7, hard, report
+from experiments import (
+    ablation,
+    arms,
+    crossover,
+    failures,
+    figure5,
+    figure7,
+    hard,
+    predictor,
+    report,
+)
 from experiments.measure import ExperimentConfig
 from gnnjax.errors import InputError, run_command
 
@@ -24,6 +34,8 @@ EXPERIMENTS: dict[str, tuple[type[ExperimentConfig], Callable]] = {
     "crossover": (crossover.CrossoverConfig, crossover.run),
     "hard": (hard.HardConfig, hard.run),
     "failures": (failures.FailuresConfig, failures.run),
+    "arms": (arms.ArmsConfig, arms.run),
+    "predictor": (predictor.PredictorConfig, predictor.run),
     "ablation": (ablation.AblationConfig, ablation.run),
 }
 

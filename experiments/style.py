@@ -7,6 +7,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 COLORS = {
+    "guided": "darkblue",
+    "guided_roadmap": "slateblue",
+    "guided_sampled": "turquoise",
+    "guided_own": "royalblue",
+    "guided_other": "skyblue",
     "gnn": "tab:red",
     "gnn_lazy": "tab:pink",
     "gnn_own": "firebrick",
@@ -17,17 +22,24 @@ COLORS = {
     "prm": "tab:blue",
     "oracle": "black",
     "ompl:rrt_connect": "tab:purple",
+    "ompl:rrt_connect@simplified": "orchid",
     "ompl:bit_star": "tab:olive",
     "ompl:rrt_star": "tab:gray",
     "ompl:prm": "tab:cyan",
 }
 
 _LABELS = {
+    "guided_roadmap": "guided, not shortened",
+    "guided_sampled": "guided, same roadmaps",
+    "guided_own": "guided, trained on this arm",
+    "guided_other": "guided, trained on the Kuka",
+    "guided@0.02": "guided, every 0.02 rad",
     "gnn_own": "gnn, trained on this arm",
     "gnn_lazy_own": "gnn_lazy, trained on this arm",
     "gnn_paper": "paper's network, one roadmap",
     "ompl:rrt_connect": "RRT-Connect",
     "ompl:rrt_connect@0.02": "RRT-Connect, every 0.02 rad",
+    "ompl:rrt_connect@simplified": "RRT-Connect, simplified",
     "ompl:bit_star": "BIT*",
     "ompl:rrt_star": "RRT*",
     "ompl:prm": "PRM (OMPL)",

@@ -387,9 +387,9 @@ def print_summary(results: dict[str, Any]) -> None:
     title = settings["planner"]
     if title not in get_args(ClassicalMethod):
         title += f", {settings['num_nodes']} nodes"
-    for name, (value, text) in _VARIANTS.items():
+    for name, (value, words) in _VARIANTS.items():
         if settings[name] == value:
-            title += f", {text}"
+            title += f", {words}"
     table = Table(
         "stratum", "solved", "certified", "edge checks", "configuration checks", "cost", title=title
     )

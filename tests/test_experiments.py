@@ -10,8 +10,20 @@ import numpy as np
 import pytest
 import tyro
 
-from experiments import crossover, failures, figure5, figure7, hard, measure, run_all
-from experiments.cases import CLASSICAL, classical_case, own_case
+from experiments import (
+    arms,
+    crossover,
+    failures,
+    figure5,
+    figure7,
+    hard,
+    measure,
+    predictor,
+    report,
+    run_all,
+)
+from experiments.bounds import first_roadmap, per_verification
+from experiments.cases import CLASSICAL, GUIDED, classical_case, own_case
 from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
 from gnnjax.errors import InputError
@@ -24,6 +36,7 @@ EXPERIMENTS = {
     "crossover": (crossover.CrossoverConfig, crossover.run),
     "hard": (hard.HardConfig, hard.run),
     "failures": (failures.FailuresConfig, failures.run),
+    "arms": (arms.ArmsConfig, arms.run),
 }
 
 
@@ -37,8 +50,8 @@ def quick(name: str, tiny_path: Path, folder: Path) -> tuple[ExperimentConfig, d
     make, run = EXPERIMENTS[name]
     folders = {key: folder / key for key in ("data", "runs", "results")}
     # The tiny arm has no weights of its own.
-    more = {"weights": Path("kuka_iiwa14")} if name == "figure7" else {}
-    config = make(quick=True, robot=str(tiny_path), **folders, **more)
+    more = {"figure7": {"weights": Path("kuka_iiwa14")}, "arms": {"trained": folder / "trained"}}
+    config = make(quick=True, robot=str(tiny_path), **folders, **more.get(name, {}))
     run(config)
     return config, load_results(folder / "results" / f"{name}.json")
 
@@ -56,12 +69,14 @@ def test_quick_forms_write_results_and_figures_and_go_on(
 
     monkeypatch.setattr(measure, "evaluate", counted)
     own = {*get_args(Method), "gnn_paper"}
+    more = {"ompl:rrt_connect@0.02", "ompl:rrt_connect@simplified"}
     expected = {
-        "figure5": own | set(CLASSICAL) | {"ompl:rrt_connect@0.02"},
+        "figure5": own | set(GUIDED) | set(CLASSICAL) | more,
         "figure7": own | set(CLASSICAL) | {"gnn_own", "gnn_lazy_own"},
         "crossover": {*crossover.OWN, *crossover.RIVALS},
         "hard": set(hard.PLANNERS),
         "failures": set(failures.PLANNERS),
+        "arms": set(arms.PLANNERS),
     }
     for name, planners in expected.items():
         config, results = quick(name, tiny_path, folder)
@@ -70,6 +85,15 @@ def test_quick_forms_write_results_and_figures_and_go_on(
         assert {row["planner"] for row in results["rows"]} == planners
         assert all("python -m gnnjax.evaluate" in row["command"] for row in results["rows"])
         assert (config.out / f"{name}.png").stat().st_size > 10_000
+    # The tables of docs/results.md that need rows problem by problem.
+    found = {name: load_results(folder / "results" / f"{name}.json") for name in expected}
+    bounds = report.bounds_table(found["figure5"]["rows"])
+    assert len(bounds.splitlines()) == 2 + len(figure5.BOUNDED)
+    assert "RRT-Connect, simplified" in report.verification_table(found["figure5"]["rows"])
+    assert "guided, trained on this arm" in report.arms_table(found["arms"])
+    assert "guided" in report.strata_table(found["hard"]["rows"])
+    own = next(row for row in found["arms"]["rows"] if row["planner"] == "guided_own")
+    assert own["to_own"]["edge_checks"] == {"mean": 1.0, "low": 1.0, "high": 1.0}
     # Each case was evaluated once, whoever asked for it.
     assert len(set(planned)) == len(planned)
 
@@ -96,6 +120,26 @@ def test_quick_forms_write_results_and_figures_and_go_on(
     )
     del rows["lazysp"], earlier["lazysp"]
     assert rows == earlier  # times too: nothing was run again
+
+
+def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder, quick_compilation):
+    folders = {key: folder / key for key in ("data", "runs", "results", "trained")}
+    config = predictor.PredictorConfig(quick=True, robot=str(tiny_path), **folders)
+    predictor.run(config)
+    results = load_results(folder / "results" / "predictor.json")
+    assert {row["network"] for row in results["rows"]} == {"6 points, 16 wide, 2 steps", "shipped"}
+    for row in results["rows"]:
+        assert 0 <= row["arms"]["tiny"]["area"] <= 1
+    # More pieces are more work, by the whole pieces that an edge of 3 rad has.
+    coarse, fine = (row["arms"]["tiny"]["operations"] for row in results["rows"][:2])
+    assert 4 / 3 < fine / coarse < 2
+    assert (folder / "results" / "predictor.png").stat().st_size > 10_000
+    assert len(report.predictor_table(results).splitlines()) == 2 + len(results["rows"])
+
+
+def test_the_pareto_front_leaves_out_what_costs_more_for_less():
+    points = [(3.0, 0.7), (1.0, 0.5), (2.0, 0.4), (3.0, 0.8), (4.0, 0.8)]
+    assert predictor.pareto(points) == [(1.0, 0.5), (3.0, 0.8)]
 
 
 def some_rows(rng, num: int) -> list[dict]:
@@ -262,6 +306,41 @@ def test_failures_are_those_of_the_rows():
     assert measured["swinging"]["mean"] == measured["reversals"]["mean"] == pytest.approx(1 / 2)
     assert measured["failure_end_in_voxel"]["mean"] == 0
     assert measured["failure_ends_clear_of_voxels"]["mean"] == 1
+
+
+def test_checks_are_counted_by_those_of_the_path():
+    def row(edges, checks, cost, roadmaps=1, hard=True):
+        return {
+            "valid": True,
+            "hard": hard,
+            "success": edges > 0,
+            "roadmaps": roadmaps,
+            "path": [[0.0]] * (edges + 1) if edges else [],
+            "cost": cost,
+            "edge_checks": checks,
+            "configuration_checks": 10 * checks,
+        }
+
+    # Hard and on the first roadmap; the same; put off for another roadmap; no path; not hard.
+    found = [[row(2, 6, 3.0), row(4, 4, 4.0), row(3, 9, 5.0, 2), row(0, 7, None, 8)]]
+    found[0].append(row(1, 1, 1.0, hard=False))
+    shortest = [[row(3, 9, 2.0), row(4, 8, 4.0), row(3, 3, 5.0), row(0, 9, None, 8)]]
+    shortest[0].append(row(1, 1, 1.0, hard=False))
+    ratios = first_roadmap(found, shortest, shortest, shortest)
+    means = {name: part["mean"] for name, part in ratios.items()}
+    assert means == pytest.approx(
+        {
+            "edges": 3,
+            "per_edge": 2,
+            "share": 2 / 3,
+            "per_guided_edge": (6 / 3 + 4 / 4) / 2,
+            "per_shortest_edge": (6 / 3 + 4 / 4 + 9 / 3) / 3,
+            "cost_ratio": (1.5 + 1) / 2,
+        }
+    )
+    measured = per_verification(found, 0.1)
+    assert measured["hard"]["median"] == pytest.approx(np.median([60 / 30, 40 / 40, 90 / 50]))
+    assert measured["all"]["mean"] == pytest.approx(np.mean([60 / 30, 40 / 40, 90 / 50, 10 / 10]))
 
 
 def test_a_quick_look_leaves_the_real_results_alone():
