@@ -171,7 +171,7 @@ def test_a_file_with_something_else_is_kept(tiny_path, problems, tmp_path, text,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--planner", "magic"], "error: no planner 'magic'; there are ['gnn',"),
+        (["--planner", "magic"], "error: no planner 'magic'; there are ['guided',"),
         (["--problems", "missing.npz"], "error: no problem file 'missing.npz'; check the path"),
         (["--robot", "kuka_iiwa14"], "is for robot 'tiny', not 'kuka_iiwa14'"),
         (["--num-nodes", "1"], "error: num_nodes is 1"),

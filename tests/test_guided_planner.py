@@ -59,7 +59,7 @@ def random_problem(robot, rng, num=5):
     while True:
         ends = rng.uniform(robot.joint_lower, robot.joint_upper, (2, 3)).astype(np.float32)
         if min(configuration_clearance(robot, scene, q) for q in ends) > 0:
-            return Problem(*ends, scene)
+            return Problem(ends[0], ends[1], scene)
 
 
 @pytest.fixture(scope="module")
@@ -291,9 +291,21 @@ def test_it_is_the_default_and_needs_no_weights_of_the_arm(tiny_path):
 @pytest.mark.parametrize(
     ("boxes", "ends", "message"),
     [
-        ([[0.0, 0.0, 0.1]], ((-1.5, 0.0, 0.0), (1.5, 0.0, 0.0)), "box 0 of the scene touches the base"),
-        ([[0.6, 0.0, 0.0]], ((float("nan"), 0.0, 0.0), (1.5, 0.0, 0.0)), "start has nan for joint 1"),
-        ([[0.6, 0.0, 0.0]] * 65, ((-1.5, 0.0, 0.0), (1.5, 0.0, 0.0)), "has 65 boxes; at most 64 are"),
+        (
+            [[0.0, 0.0, 0.1]],
+            ((-1.5, 0.0, 0.0), (1.5, 0.0, 0.0)),
+            "box 0 of the scene touches the base",
+        ),
+        (
+            [[0.6, 0.0, 0.0]],
+            ((float("nan"), 0.0, 0.0), (1.5, 0.0, 0.0)),
+            "start has nan for joint 1",
+        ),
+        (
+            [[0.6, 0.0, 0.0]] * 65,
+            ((-1.5, 0.0, 0.0), (1.5, 0.0, 0.0)),
+            "has 65 boxes; at most 64 are",
+        ),
     ],
 )
 def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, boxes, ends, message):
@@ -303,4 +315,3 @@ def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, boxes, ends, m
     with pytest.raises(InputError, match=message):
         plan_once(config)
     assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]
-

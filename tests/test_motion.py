@@ -35,7 +35,8 @@ def test_the_network_agrees_with_numpy_layer_by_layer(network):
     expected = []
     for i in range(6):
         near, far = (
-            np.array([np.tanh(x.clearance[i] / scale) for scale in (0.05, 0.2)]) for x in (start, end)
+            np.array([np.tanh(x.clearance[i] / scale) for scale in (0.05, 0.2)])
+            for x in (start, end)
         )
         moved = [np.linalg.norm(start.points[i, p] - end.points[i, p]) for p in range(3)]
         travel = np.array([*moved, 0.3 * length[i]])
@@ -121,7 +122,11 @@ def test_a_checkpoint_knows_its_kind(network, tmp_path):
 @pytest.mark.parametrize(
     ("method", "weights", "message"),
     [
-        ("guided", "kuka_iiwa14", "planner 'guided' takes a MotionNetwork, and 'kuka_iiwa14' is a "),
+        (
+            "guided",
+            "kuka_iiwa14",
+            "planner 'guided' takes a MotionNetwork, and 'kuka_iiwa14' is a ",
+        ),
         ("gnn", "motion", "planner 'gnn' takes a GuidanceNetwork, and 'motion' is a MotionNetwork"),
     ],
 )

@@ -13,7 +13,6 @@ from gnnjax.labels import cost_to_go, edge_validity, for_each_edge, label_roadma
 from gnnjax.roadmap import connect, graphs_tuple, radius_for_degree, reverse_slots
 from gnnjax.robot import load_robot
 
-
 jitted_connect = jax.jit(connect, static_argnums=3)
 
 

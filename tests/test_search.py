@@ -1,5 +1,7 @@
 """Searches: the jitted loop against the plain one, laws, and corners."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -278,7 +280,7 @@ def test_whatever_prices_say_a_path_is_found_where_there_is_one(seed):
     keep = valid_slots(roadmap)
     assert bool(found.success) == bool(np.isfinite(shortest(roadmap, keep)))
     walked = np.asarray(found.path)[np.asarray(found.path) >= 0]
-    for near, far in zip(walked[:-1], walked[1:], strict=True):
+    for near, far in itertools.pairwise(walked):
         assert keep[near, np.asarray(roadmap.neighbors)[near] == far].all()
 
 

@@ -91,7 +91,7 @@ def test_a_resumed_run_comes_to_the_same_numbers(finished, tmp_path, monkeypatch
 
 def test_there_is_nothing_to_resume(finished, tmp_path):
     config = dataclasses.replace(finished, out=tmp_path / "new", resume=True)
-    with pytest.raises(InputError, match="no checkpoint in .*; start without --resume"):
+    with pytest.raises(InputError, match=r"no checkpoint in .*; start without --resume"):
         train_motion(config)
 
 
