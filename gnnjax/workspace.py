@@ -106,9 +106,10 @@ def arm_view(robot: Robot, num: int) -> Callable[[Scene, jax.Array], ArmView]:
 
     def view(scene: Scene, q: Float[Array, "B D"]) -> ArmView:
         frames = body_frames(robot, joint_terms(robot, q))
-        where = [
-            transform(*frames[bodies[g]], robot.geom_centers[g].tolist()) for g in points
-        ]  # P points of 3 arrays
+        where = []  # P points of 3 arrays
+        for g in points:
+            position, rotation = frames[bodies[g]]
+            where.append(transform(position, rotation, robot.geom_centers[g].tolist()))
         to_itself = jnp.full(q.shape[:1], _SELF_FAR, q.dtype)
         for i, j in pairs:
             apart = subtract(where[i], where[j])

@@ -171,6 +171,7 @@ def test_an_arm_of_other_geoms_is_refused(tmp_path):
 def test_an_arm_of_six_joints_plans_with_the_network_for_seven():
     planner = load_planner("kinova_gen3", "gnn", num_nodes=100, max_roadmaps=2)
     assert planner.robot.num_dof == 6
+    assert isinstance(planner.network, GuidanceNetwork)
     assert planner.network.num_dof == 7
     scene = make_scene([[0.5, 0.0, 0.5]], [[0.1, 0.1, 0.3]])
     plan = planner.plan(scene, [-1.2, 0.6, -1.5, 0, -0.9, 0], [1.2, 0.6, -1.5, 0, -0.9, 0])

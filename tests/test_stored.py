@@ -100,7 +100,7 @@ def test_an_arm_that_always_collides_is_refused(tmp_path):
 
 def test_start_and_goal_join_a_stored_roadmap(robot, stored):
     radius = default_radius(robot, NUM + 2)
-    joined = jax.jit(lambda *args: insert_ends(*args, radius))
+    joined = jax.jit(lambda stored, start, goal: insert_ends(stored, start, goal, radius))
     rng = np.random.default_rng(0)
     before = {(i + 2, j + 2) for i, j in edges(stored)}
     for _ in range(3):

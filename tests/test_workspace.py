@@ -14,7 +14,7 @@ from gnnjax.roadmap import connect
 from gnnjax.robot import load_robot
 from gnnjax.scene import make_scene
 from gnnjax.validity import RISK_WEIGHT, ValidityHead, cost_through, edge_distances
-from gnnjax.workspace import choose_points, point_distances
+from gnnjax.workspace import arm_view, choose_points, point_distances
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -135,3 +135,40 @@ def test_the_cost_through_a_neighbor_agrees_with_dijkstra():
     for i, k in np.argwhere(mask):
         j = neighbors[i, k]
         np.testing.assert_allclose(through[i, k], price[i, j] + cost[j], rtol=1e-4)
+
+
+def test_an_arms_view_agrees_with_mujocos_points_and_plain_geometry(tiny_path):
+    robot, rng, num = load_robot(tiny_path), np.random.default_rng(1), 3
+    scene = random_scene(rng)
+    q = rng.uniform(robot.joint_lower, robot.joint_upper, (40, 3)).astype(np.float32)
+    found = arm_view(robot, num)(jax.tree.map(jnp.asarray, scene), jnp.asarray(q))
+    data, chosen = mujoco.MjData(robot.mj_model), list(choose_points(robot, num))
+    bodies = robot.geom_bodies
+    touching = {(bodies[a], bodies[b]) for a, b in robot.self_pairs}
+    boxes = list(zip(scene.centers, scene.half_extents, scene.quats, scene.mask, strict=True))
+    near = set()
+    for i, configuration in enumerate(q):
+        data.qpos[:] = configuration
+        mujoco.mj_kinematics(robot.mj_model, data)
+        points = data.geom_xpos[robot.geom_ids[chosen]]
+        radii = robot.mj_model.geom_size[robot.geom_ids[chosen], 0]
+        np.testing.assert_allclose(found.points[i], points, atol=2e-6)
+        for p in range(num):
+            expected = min(signed_distance(points[p], *b) for *b, exists in boxes if exists)
+            np.testing.assert_allclose(found.clearance[i, p], expected - radii[p], atol=2e-6)
+        gaps = [1.0]  # what lies beyond does not count
+        for a in range(num):
+            for b in range(num):
+                if (bodies[chosen[a]], bodies[chosen[b]]) in touching:
+                    gaps.append(np.linalg.norm(points[a] - points[b]) - radii[a] - radii[b])
+        np.testing.assert_allclose(found.clearance[i, num], min(gaps), atol=2e-6)
+        near.add(min(gaps) < 0.2)
+    assert near == {True, False}
+
+
+def test_an_arms_view_without_boxes_is_far_from_them(tiny_path):
+    robot = load_robot(tiny_path)
+    scene = jax.tree.map(jnp.asarray, make_scene([], []))
+    seen = arm_view(robot, 5)(scene, jnp.zeros((2, 3)))
+    radii = robot.geom_radii[list(choose_points(robot, 5))]
+    np.testing.assert_allclose(seen.clearance[:, :5], np.tile(10 - radii, (2, 1)), rtol=1e-6)

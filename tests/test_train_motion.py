@@ -1,0 +1,151 @@
+"""Training of the motion network: what it learns from, its runs, and its checkpoints."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+from flax import nnx
+
+import gnnjax.train_motion
+from gnnjax.checkpoint import load_network, read_metadata
+from gnnjax.errors import InputError
+from gnnjax.motion import MotionNetwork
+from gnnjax.robot import load_robot
+from gnnjax.train_motion import (
+    TrainMotionConfig,
+    area_under_curve,
+    motion_sampler,
+    train_motion,
+)
+from tests.fine_scan import collides_anywhere
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
+
+@pytest.fixture(scope="module")
+def finished(tiny_path, tmp_path_factory):
+    """A finished run of one small arm."""
+    config = TrainMotionConfig(
+        robots=(str(tiny_path),),
+        out=tmp_path_factory.mktemp("runs") / "motion",
+        steps=24,
+        scenes=2,
+        motions=64,
+        learning_rate=2e-2,
+        num_points=3,
+        channels=8,
+        save_every=8,
+    )
+    train_motion(config)
+    return config
+
+
+def records(config):
+    lines = (config.out / "log.jsonl").read_text().splitlines()
+    return [{k: v for k, v in json.loads(line).items() if k != "seconds"} for line in lines]
+
+
+def test_a_run_learns_logs_and_leaves_weights(finished):
+    found = records(finished)
+    assert [record["step"] for record in found] == [8, 16, 24]
+    assert found[-1]["loss"] < found[0]["loss"]
+    assert all(0 <= record["edge_auc_tiny"] <= 1 for record in found)
+    assert found[-1]["edge_auc_tiny"] > 0.6
+    meta = read_metadata(finished.out / "weights")
+    assert meta["network"] == "MotionNetwork"
+    assert meta["model"] == {"num_points": 3, "channels": 8}
+    assert meta["training"]["steps"] == 24
+    assert isinstance(load_network(finished.out / "weights"), MotionNetwork)
+
+
+def test_a_resumed_run_comes_to_the_same_numbers(finished, tmp_path, monkeypatch):
+    config = dataclasses.replace(finished, out=tmp_path / "cut")
+    measure, calls = gnnjax.train_motion.area_under_curve, []
+
+    def killed(*args):
+        calls.append(None)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return measure(*args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(gnnjax.train_motion, "area_under_curve", killed)
+        with pytest.raises(KeyboardInterrupt):
+            train_motion(config)
+    assert len(records(config)) == 1
+    with pytest.raises(InputError, match="holds a run already; add --resume"):
+        train_motion(config)
+    with pytest.raises(InputError, match=r"has learning_rate 0\.02, not 1\.0"):
+        train_motion(dataclasses.replace(config, resume=True, learning_rate=1.0))
+    train_motion(dataclasses.replace(config, resume=True))
+    assert records(config) == records(finished)
+    weights = [
+        jax.tree.leaves(nnx.state(load_network(c.out / "weights"), nnx.Param))
+        for c in (config, finished)
+    ]
+    for ours, theirs in zip(*weights, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_there_is_nothing_to_resume(finished, tmp_path):
+    config = dataclasses.replace(finished, out=tmp_path / "new", resume=True)
+    with pytest.raises(InputError, match=r"no checkpoint in .*; start without --resume"):
+        train_motion(config)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"steps": 0}, "steps is 0; it must be at least 1"),
+        ({"scenes": 0}, "scenes is 0"),
+        ({"motions": 1}, "motions is 1; it must be at least 2"),
+        ({"channels": -1}, "channels is -1"),
+        ({"num_points": 0}, "num_points is 0"),
+        ({"save_every": 0}, "save_every is 0"),
+        ({"learning_rate": float("nan")}, "learning_rate is nan"),
+        ({"seed": -1}, "seed is -1"),
+        ({"robots": ()}, "robots is empty; name at least one arm"),
+        ({"robots": ("pr2",)}, "no robot 'pr2' in assets/; there are"),
+    ],
+)
+def test_bad_settings_are_refused(finished, tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        train_motion(dataclasses.replace(finished, out=tmp_path / "run", **change))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_cannot_go_into_a_file(finished, tmp_path):
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(InputError, match="is a file; name a folder"):
+        train_motion(dataclasses.replace(finished, out=tmp_path / "file"))
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_motions_are_free_where_mujoco_says_so(tiny_path):
+    robot = load_robot(tiny_path)
+    draw = jax.jit(motion_sampler(robot, 40, ((0.0, 0.0, 0.2), (0.5, 1.5, 0.8)), 0.5))
+    agreed, valid = 0, []
+    for seed in range(3):
+        scene, motions = jax.tree.map(np.asarray, draw(jax.random.key(seed)))
+        length = np.linalg.norm(motions.ends - motions.starts, axis=1)
+        assert (length < 1.5 + 1e-5).all()
+        for i in range(40):
+            motion = np.stack([motions.starts[i], motions.ends[i]]).astype(float)
+            assert ((motion >= robot.joint_lower) & (motion <= robot.joint_upper)).all()
+            # The scan tests no motion without length.
+            motion[1] += 1e-9 * (length[i] == 0)
+            agreed += motions.valid[i] != collides_anywhere(robot, scene, motion, step=0.02)
+            valid.append(motions.valid[i])
+    assert agreed >= 0.98 * len(valid)  # the scan is finer than the test
+    assert 0.2 < np.mean(valid) < 0.95
+
+
+def test_the_area_under_the_curve_counts_pairs_in_order():
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        scores, valid = rng.integers(0, 6, 30).astype(float), rng.random(30) < 0.4
+        pairs = scores[valid][:, None] - scores[~valid]
+        expected = np.mean((pairs > 0) + 0.5 * (pairs == 0))
+        np.testing.assert_allclose(area_under_curve(scores, valid), expected)
