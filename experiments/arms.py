@@ -100,7 +100,7 @@ def cases(config: ArmsConfig, arm: str) -> dict[str, EvaluateConfig]:
 def train_config(config: ArmsConfig, arm: str) -> TrainMotionConfig:
     """The training on one arm."""
     name = f"motion_{Path(arm).stem}"
-    small: dict[str, Any] = {"scenes": 2, "motions": 16, "channels": 8} if config.quick else {}
+    small: dict[str, Any] = {"scenes": 2, "motions": 16} if config.quick else {}
     out = config.trained / (f"{name}_quick" if config.quick else name)
     return TrainMotionConfig(robots=(arm,), out=out, steps=config.steps, **small)
 
