@@ -85,7 +85,7 @@ def run(config: HardConfig) -> None:
             families=config.families[-1:],
             family_problems=2,
             # Scenes of their own kind are compiled anew for each planner.
-            family_planners=("guided", "distance", "ompl:rrt_connect"),
+            family_planners=("guided", "ompl:rrt_connect"),
             guided_sizes=(30,),
         )
     robot = config.robot or "kuka_iiwa14"

@@ -196,7 +196,7 @@ def areas_under_curve(
     @jax.jit
     def scores(weights: Any, scene: Scene, starts: jax.Array, ends: jax.Array, spacing: jax.Array):
         seen = functools.partial(view, scene)
-        prices = make_prices(nnx.merge(graphdef, weights), seen, spacing)  # type: ignore[arg-type]
+        prices = make_prices(nnx.merge(graphdef, weights), seen, spacing)
         return -prices.motions(starts, ends, most)
 
     areas = []

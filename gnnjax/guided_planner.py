@@ -329,7 +329,7 @@ class _Batch:
             self._shorten(found, likely & ~single)
             open_ &= self.active
         while open_.any():
-            found = self._search(attempt, open_, len(attempt.roadmaps.nodes[0]), max_price)
+            found = self._search(attempt, open_, attempt.roadmaps.nodes.shape[1], max_price)
             open_ &= np.asarray(found.success)
             certified = self._certify(attempt, found, open_)
             if self.planner.shorten:
@@ -399,7 +399,7 @@ class _Batch:
             status = np.array(attempt.knowledge.status)
             for step in np.flatnonzero(~certified):
                 for near, far in (walked[[step, step + 1]], walked[[step + 1, step]]):
-                    slots = np.asarray(attempt.roadmaps.neighbors[i, near]) == far
+                    slots = np.asarray(attempt.roadmaps.neighbors)[i, near] == far
                     status[i, near, slots] = INVALID
             attempt.knowledge = attempt.knowledge._replace(status=status)
         return kept
@@ -410,9 +410,9 @@ class _Batch:
         Returns:
             The nodes of the path, and which of its edges are certified.
         """
-        walked = np.asarray(found.path[i])
+        walked = np.asarray(found.path)[i]
         walked = walked[walked >= 0]
-        path = np.asarray(found.waypoints[i])[: len(walked)]
+        path = np.asarray(found.waypoints)[i][: len(walked)]
         scene = jax.tree.map(lambda x: x[i], self.scenes)
         certified = certify_edges(self.planner.robot, scene, path[:-1], path[1:])
         known = self.paths[i]

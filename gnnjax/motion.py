@@ -93,7 +93,9 @@ class Prices(NamedTuple):
     motions: Callable[[jax.Array, jax.Array, int], jax.Array]
 
 
-def make_prices(network: MotionNetwork, view: View, spacing: float = SPACING) -> Prices:
+def make_prices(
+    network: MotionNetwork, view: View, spacing: float | Float[Array, ""] = SPACING
+) -> Prices:
     """The prices of configurations and motions in one scene, `-log p(free)`.
 
     Args:
