@@ -5,7 +5,7 @@
 The default planner on the Kinova and on the Franka Panda with the shipped weights, which were
 trained on the Kuka and the Kinova, beside weights that were trained on the arm alone, for as many
 batches of it, and weights that were trained on the Kuka alone. LazySP and RRT-Connect stand beside
-them. N = 400, 300 problems of the paper's distribution.
+them. N = 400, 100 problems of the paper's distribution.
 """
 
 import dataclasses
@@ -41,9 +41,9 @@ class ArmsConfig(ExperimentConfig):
     """The arm that the third weights are trained on."""
     num_nodes: int = 400
     """Nodes of a roadmap."""
-    num_problems: int = 300
+    num_problems: int = 100
     """Problems of each arm."""
-    steps: int = 1500
+    steps: int = 600
     """Of each training; the shipped network saw as many batches of each of its arms."""
     trained: Path = Path("runs")
     """Where the networks go, each in a folder motion_ARM."""

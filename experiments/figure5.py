@@ -54,7 +54,9 @@ class Figure5Config(ExperimentConfig):
     """Roadmap sizes."""
     num_problems: int = 300
     """Problems of each set."""
-    fine_num_nodes: tuple[int, ...] = (200, 1000)
+    variant_num_nodes: tuple[int, ...] = (200, 1000)
+    """Roadmap sizes of the default planner's variants, and of the comparison of searches."""
+    fine_num_nodes: tuple[int, ...] = (200,)
     """Roadmap sizes of the default planner with edges tested every 0.02 rad."""
 
 
@@ -62,7 +64,12 @@ def run(config: Figure5Config) -> None:
     """Measures what is missing and draws the figure."""
     if config.quick:
         config = dataclasses.replace(
-            config, num_nodes=(30,), num_problems=3, seeds=config.seeds[:1], fine_num_nodes=()
+            config,
+            num_nodes=(30,),
+            num_problems=3,
+            seeds=config.seeds[:1],
+            variant_num_nodes=(30,),
+            fine_num_nodes=(),
         )
     rows = save_results(config, "figure5", CLAIM, _rows(config), paper=PAPER)
     draw([row for row in rows if row["set"] == "test"], config.out / "figure5.png")
@@ -73,12 +80,15 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
     num = config.num_problems
     sets = problem_sets(config, robot, num)
     for num_nodes in config.num_nodes:
+        varied = num_nodes in config.variant_num_nodes
         for planner in PLANNERS:
+            if planner in GUIDED[1:] and not varied:
+                continue
             for name, path in sets.items():
                 case = own_case(path, robot, planner, num_nodes, num)
                 row = {"set": name, "planner": planner, "num_nodes": num_nodes}
                 row |= _measured(config, case)
-                if planner in BOUNDED:
+                if planner in BOUNDED and varied:
                     compared = (
                         _problems(config, own_case(path, robot, p, num_nodes, num))
                         for p in (planner, "guided_sampled", "lazysp", "prm")

@@ -47,7 +47,7 @@ PLANNERS = (
     *("ompl:rrt_connect", "ompl:bit_star"),
 )
 FAMILY_PLANNERS = (
-    *("guided", "guided_roadmap"),
+    "guided",
     *("gnn", "gnn_lazy", "distance", "lazysp", "ompl:rrt_connect", "ompl:bit_star"),
 )
 
