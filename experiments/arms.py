@@ -3,9 +3,9 @@
     python -m experiments.arms
 
 The default planner on the Kinova and on the Franka Panda with the shipped weights, which were
-trained on the Kuka and the Kinova, beside weights that were trained on the arm alone, for as many
-batches of it, and weights that were trained on the Kuka alone. LazySP and RRT-Connect stand beside
-them. N = 400, 100 problems of the paper's distribution.
+trained on the Kuka and the Kinova, beside weights that were trained on the arm alone, and weights
+that were trained on the Kuka alone, both for 600 batches; the shipped weights saw 1,500 of either
+arm. LazySP and RRT-Connect stand beside them. N = 400, 100 problems of the paper's distribution.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ class ArmsConfig(ExperimentConfig):
     num_problems: int = 100
     """Problems of each arm."""
     steps: int = 600
-    """Of each training; the shipped network saw as many batches of each of its arms."""
+    """Of each training; the shipped network saw 1,500 of each of its arms."""
     trained: Path = Path("runs")
     """Where the networks go, each in a folder motion_ARM."""
 
