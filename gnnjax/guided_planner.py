@@ -40,7 +40,8 @@ from gnnjax.workspace import arm_view
 # were tried.
 GIVE_UP = 4.0
 
-# Nodes of the roadmaps after the first, at least: what a small one does not solve is hard.
+# Nodes of the roadmaps after the first, beside those around the ends: more take longer than they
+# help.
 _WIDE_NODES = 400
 
 _ROADMAPS_A_SEED = 1000  # seeds of stored roadmaps: of query seed s, from 1000 s on
@@ -72,8 +73,8 @@ class GuidedPlanner:
         """Args:
         robot: the arm.
         network: what tells free motions from blocked ones.
-        num_nodes: nodes of the first roadmap, start and goal included; the others have 400, or as
-            many if that is more, and 64 around either end.
+        num_nodes: nodes of the first roadmap, start and goal included; the others have 400, and
+            64 more around either end.
         max_roadmaps: roadmaps to try.
         shorten: shorten paths before they are checked.
         sampled: search roadmaps whose nodes are drawn and tested for each query, like those of
@@ -94,7 +95,6 @@ class GuidedPlanner:
         self.shorten, self.sampled = shorten, sampled
         self.resolution, self.time_limit = resolution, time_limit
         self.radius = default_radius(robot, num_nodes)
-        self.wide_nodes = max(num_nodes, _WIDE_NODES)
         # Apart, so that weights are arguments of the compiled functions and not constants in them.
         self._graphdef, self._weights = nnx.split(network)
 
@@ -199,7 +199,7 @@ class GuidedPlanner:
         def widen(weights, stored, key, problem: Problem) -> SampledRoadmap:
             price = prices_in(weights, problem.scene).nodes
             ends = problem.start, problem.goal
-            radius = default_radius(self.robot, self.wide_nodes)
+            radius = default_radius(self.robot, _WIDE_NODES)
             roadmap = add_local_nodes(key, stored, *ends, radius, limits, price)
             return SampledRoadmap(roadmap, jnp.int32(0))
 
@@ -304,7 +304,7 @@ class _Batch:
         stored = None
         if not planner.sampled:
             seed = self.seed * _ROADMAPS_A_SEED + number
-            num_nodes = planner.wide_nodes if wide else planner.num_nodes
+            num_nodes = _WIDE_NODES if wide else planner.num_nodes
             stored = stored_roadmap(planner.robot, num_nodes - 2, seed)
         make = self.functions.widen if wide else self.functions.begin
         sampled, knowledge = jax.block_until_ready(
@@ -327,7 +327,8 @@ class _Batch:
             single = np.asarray(found.path)[:, 1] == GOAL
             self._certify(attempt, found, likely & single)
             self._shorten(found, likely & ~single)
-            open_ &= self.active
+            # What had no likely path has none when it is searched again.
+            open_ &= self.active & likely
         while open_.any():
             found = self._search(attempt, open_, attempt.roadmaps.nodes.shape[1], max_price)
             open_ &= np.asarray(found.success)
@@ -431,7 +432,7 @@ class _Batch:
             make_plan(
                 path,
                 f"no path in the {self.roadmaps[i]} roadmaps tried ({self.planner.num_nodes} "
-                f"nodes, then {self.planner.wide_nodes} and {2 * NUM_LOCAL} around the ends)",
+                f"nodes, then {_WIDE_NODES} and {2 * NUM_LOCAL} around the ends)",
                 self.planner.robot.num_dof,
                 edge_checks=int(self.edge_checks[i]),
                 sampling_checks=int(self.sampling_checks[i]),
