@@ -242,6 +242,8 @@ def test_a_start_in_a_corner_of_the_limits(robot, planner):
         if plan.success:
             check_path(robot, Problem(start, problem.goal, problem.scene), plan)
             later += plan.roadmaps > 1
+        if later:
+            break
     assert later >= 1
 
 
