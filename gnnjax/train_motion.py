@@ -226,7 +226,11 @@ def make_validation(
         keys = jax.random.split(key, config.scenes)
         return over_problems(one, jnp.ones(config.scenes, bool), keys)
 
-    return lambda weights, key: tuple(np.asarray(x).ravel() for x in validate(weights, key))
+    def on_host(weights: Any, key: jax.Array) -> tuple[np.ndarray, np.ndarray]:
+        scores, valid = validate(weights, key)
+        return np.asarray(scores).ravel(), np.asarray(valid).ravel()
+
+    return on_host
 
 
 def train_motion(config: TrainMotionConfig) -> Path:

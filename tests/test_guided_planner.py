@@ -115,7 +115,7 @@ def test_where_there_is_no_path_it_says_so(plans):
     plan = plans[-1]
     assert not plan.success
     assert not plan.certified
-    assert plan.reason.startswith(f"no path in the 2 roadmaps tried ({NUM_NODES} nodes, radius ")
+    assert plan.reason.startswith(f"no path in the 2 roadmaps tried ({NUM_NODES} nodes, then 400 ")
     assert plan.path.shape == (0, 3)
     assert plan.cost == np.inf
     assert plan.roadmaps == 2
@@ -242,6 +242,8 @@ def test_a_start_in_a_corner_of_the_limits(robot, planner):
         if plan.success:
             check_path(robot, Problem(start, problem.goal, problem.scene), plan)
             later += plan.roadmaps > 1
+        if later:
+            break
     assert later >= 1
 
 
