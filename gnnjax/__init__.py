@@ -5,9 +5,11 @@ from gnnjax.checkpoint import load_network, save_network
 from gnnjax.collision import Checker, EdgeChecks, boxes_clear, make_checker
 from gnnjax.errors import InputError
 from gnnjax.family_problem import FamilyProblem, sample_family_problem
+from gnnjax.guided_planner import GuidedPlanner
 from gnnjax.kinematics import forward_kinematics
 from gnnjax.labels import Labels, cost_to_go, edge_validity, label_roadmap
 from gnnjax.model import GuidanceNetwork
+from gnnjax.motion import MotionNetwork
 from gnnjax.planner import Planner, load_planner
 from gnnjax.problem import Problem, ProblemSet, load_problems, sample_problem, save_problems
 from gnnjax.query import Plan
@@ -22,8 +24,10 @@ __all__ = [
     "EdgeChecks",
     "FamilyProblem",
     "GuidanceNetwork",
+    "GuidedPlanner",
     "InputError",
     "Labels",
+    "MotionNetwork",
     "Plan",
     "Planner",
     "Problem",
