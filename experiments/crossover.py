@@ -11,9 +11,9 @@ curve, the checks alone, T(c) = configuration checks x c: their measured time is
 callbacks into Python, and no implementation can be faster than this bound. Our own planners get no
 such allowance.
 
-Where a guide does not win: half of the problems are easy, and RRT-Connect solves them with fewer
-checks than it takes to sample a roadmap, so that its median is out of reach at any price. A guide
-wins in the mean, by what the hardest problems cost the others.
+Where a guide does not win: a roadmap whose nodes are tested first costs more checks than
+RRT-Connect needs for an easy problem, so that gnn and gnn_lazy cannot win in the median at any
+price. The guided planner can; what it pays is the milliseconds of its network and search.
 
 What a crossover does not count: failures (a planner that gives up is not charged for it; see the
 shares of solved problems), that our paths are shorter and certified (the certificate's own

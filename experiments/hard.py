@@ -7,7 +7,7 @@ goal free or blocked; how many boxes; and how narrow the way is, which is the le
 the arm along the roadmap's shortest path (PRM's, first seed, seen every 0.05 rad). Less than 1 cm
 counts as a narrow passage. Then 50 problems of each family of hard scenes (`gnnjax.families`): thin
 walls, shelves, many boxes, turned anyhow. The guidance network never saw these; the motion network
-was trained on scenes of these kinds, though on none of these. It also plans them with N = 200.
+was trained on scenes of these kinds, though on none of these.
 """
 
 import dataclasses
@@ -70,7 +70,7 @@ class HardConfig(ExperimentConfig):
     """Problems of each family."""
     family_planners: tuple[str, ...] = FAMILY_PLANNERS
     """Planners for the families."""
-    guided_sizes: tuple[int, ...] = (200, 1000)
+    guided_sizes: tuple[int, ...] = (1000,)
     """Roadmap sizes of the guided planner on the families."""
 
 
