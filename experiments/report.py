@@ -377,8 +377,9 @@ and certificates, only the number of configurations on the same edges.
 
 # What came of each claim.
 VERDICTS = {
-    "figure5": "It holds. Of edge checks, any search that checks lazily needs few; of configuration "
-    "checks, sampling included, the guided planner alone needs fewer than RRT-Connect in the median.",
+    "figure5": "It holds. Of edge checks, any search that checks lazily needs few; of "
+    "configuration checks, sampling included, only the guided planner needs fewer than RRT-Connect "
+    "in the median.",
     "figure7": "It holds for edge checks. It does not hold for planning time against BIT*, which "
     "is done sooner where checks are as cheap as here.",
     "crossover": "It holds against all of them, from the prices below.",

@@ -40,9 +40,9 @@ from gnnjax.workspace import arm_view
 # were tried.
 GIVE_UP = 4.0
 
-# Nodes of the roadmaps after the first, beside those around the ends: more take longer than they
-# help.
-_WIDE_NODES = 400
+# Nodes of the roadmaps after the first, beside those around the ends, at least and at most: what a
+# small one does not solve is hard, and a large one takes long.
+_WIDE_NODES = (400, 600)
 
 _ROADMAPS_A_SEED = 1000  # seeds of stored roadmaps: of query seed s, from 1000 s on
 
@@ -73,8 +73,8 @@ class GuidedPlanner:
         """Args:
         robot: the arm.
         network: what tells free motions from blocked ones.
-        num_nodes: nodes of the first roadmap, start and goal included; the others have 400, and
-            64 more around either end.
+        num_nodes: nodes of the first roadmap, start and goal included; the others have as
+            many, 400 to 600, and 64 more around either end.
         max_roadmaps: roadmaps to try.
         shorten: shorten paths before they are checked.
         sampled: search roadmaps whose nodes are drawn and tested for each query, like those of
@@ -95,6 +95,7 @@ class GuidedPlanner:
         self.shorten, self.sampled = shorten, sampled
         self.resolution, self.time_limit = resolution, time_limit
         self.radius = default_radius(robot, num_nodes)
+        self.wide_nodes = int(np.clip(num_nodes, *_WIDE_NODES))
         # Apart, so that weights are arguments of the compiled functions and not constants in them.
         self._graphdef, self._weights = nnx.split(network)
 
@@ -199,7 +200,7 @@ class GuidedPlanner:
         def widen(weights, stored, key, problem: Problem) -> SampledRoadmap:
             price = prices_in(weights, problem.scene).nodes
             ends = problem.start, problem.goal
-            radius = default_radius(self.robot, _WIDE_NODES)
+            radius = default_radius(self.robot, self.wide_nodes)
             roadmap = add_local_nodes(key, stored, *ends, radius, limits, price)
             return SampledRoadmap(roadmap, jnp.int32(0))
 
@@ -304,7 +305,7 @@ class _Batch:
         stored = None
         if not planner.sampled:
             seed = self.seed * _ROADMAPS_A_SEED + number
-            num_nodes = _WIDE_NODES if wide else planner.num_nodes
+            num_nodes = planner.wide_nodes if wide else planner.num_nodes
             stored = stored_roadmap(planner.robot, num_nodes - 2, seed)
         make = self.functions.widen if wide else self.functions.begin
         sampled, knowledge = jax.block_until_ready(
@@ -432,7 +433,7 @@ class _Batch:
             make_plan(
                 path,
                 f"no path in the {self.roadmaps[i]} roadmaps tried ({self.planner.num_nodes} "
-                f"nodes, then {_WIDE_NODES} and {2 * NUM_LOCAL} around the ends)",
+                f"nodes, then {self.planner.wide_nodes} and {2 * NUM_LOCAL} around the ends)",
                 self.planner.robot.num_dof,
                 edge_checks=int(self.edge_checks[i]),
                 sampling_checks=int(self.sampling_checks[i]),
