@@ -4,7 +4,7 @@
 
 The default planner on the Kinova and on the Franka Panda with the shipped weights, which were
 trained on the Kuka and the Kinova, beside weights that were trained on the arm alone, and weights
-that were trained on the Kuka alone, both for 600 batches; the shipped weights saw 1,500 of either
+that were trained on the Kuka alone, both for 300 batches; the shipped weights saw 1,500 of either
 arm. LazySP and RRT-Connect stand beside them. N = 400, 100 problems of the paper's distribution.
 """
 
@@ -43,7 +43,7 @@ class ArmsConfig(ExperimentConfig):
     """Nodes of a roadmap."""
     num_problems: int = 100
     """Problems of each arm."""
-    steps: int = 600
+    steps: int = 300
     """Of each training; the shipped network saw 1,500 of each of its arms."""
     trained: Path = Path("runs")
     """Where the networks go, each in a folder motion_ARM."""

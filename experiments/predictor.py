@@ -56,11 +56,11 @@ class PredictorConfig(ExperimentConfig):
     """Arms whose edges are told apart, and which the networks are trained on."""
     num_points: tuple[int, ...] = (6, 12)
     """Points of the arm that are looked at."""
-    channels: tuple[int, ...] = (16, 48)
+    channels: tuple[int, ...] = (16,)
     """Widths of the networks."""
     spacings: tuple[float, ...] = (1.5, 0.8, 0.5, 0.35)
     """Largest lengths of the pieces, rad."""
-    steps: int = 400
+    steps: int = 300
     """Of each training."""
     num_roadmaps: int = 40
     """Labelled roadmaps of each arm."""
