@@ -54,7 +54,7 @@ class Figure5Config(ExperimentConfig):
     """Roadmap sizes."""
     num_problems: int = 300
     """Problems of each set."""
-    variant_num_nodes: tuple[int, ...] = (200, 1000)
+    guided_num_nodes: tuple[int, ...] = (200, 1000)
     """Roadmap sizes of the default planner, and of the comparison of searches."""
     fine_num_nodes: tuple[int, ...] = (200,)
     """Roadmap sizes of the default planner with edges tested every 0.02 rad."""
@@ -68,7 +68,7 @@ def run(config: Figure5Config) -> None:
             num_nodes=(30,),
             num_problems=3,
             seeds=config.seeds[:1],
-            variant_num_nodes=(30,),
+            guided_num_nodes=(30,),
             fine_num_nodes=(),
         )
     rows = save_results(config, "figure5", CLAIM, _rows(config), paper=PAPER)
@@ -80,7 +80,7 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
     num = config.num_problems
     sets = problem_sets(config, robot, num)
     for num_nodes in config.num_nodes:
-        varied = num_nodes in config.variant_num_nodes
+        varied = num_nodes in config.guided_num_nodes
         for planner in PLANNERS:
             if planner in GUIDED and not varied:
                 continue
