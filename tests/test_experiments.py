@@ -50,7 +50,7 @@ def quick(name: str, tiny_path: Path, folder: Path) -> tuple[ExperimentConfig, d
     make, run = EXPERIMENTS[name]
     folders = {key: folder / key for key in ("data", "runs", "results")}
     # The tiny arm has no weights of its own.
-    more = {"figure7": {"weights": Path("kuka_iiwa14")}, "arms": {"trained": folder / "trained"}}
+    more = {"figure7": {"weights": Path("kuka_iiwa14")}}
     config = make(quick=True, robot=str(tiny_path), **folders, **more.get(name, {}))
     run(config)
     return config, load_results(folder / "results" / f"{name}.json")
@@ -68,6 +68,8 @@ def test_quick_forms_write_results_and_figures_and_go_on(
         return evaluate(config, planner)
 
     monkeypatch.setattr(measure, "evaluate", counted)
+    # Training has tests of its own.
+    monkeypatch.setattr("experiments.training.trained", lambda config: Path("motion"))
     own = {*get_args(Method), "gnn_paper"}
     more = {"ompl:rrt_connect@0.02", "ompl:rrt_connect@simplified"}
     expected = {
