@@ -97,11 +97,14 @@ class GuidedPlanner:
         self.radius = default_radius(robot, num_nodes)
         self.wide_nodes = int(np.clip(num_nodes, *_WIDE_NODES))
         # Apart, so that weights are arguments of the compiled functions and not constants in them.
-        self._graphdef, self._weights = nnx.split(network)
+        self._graphdef, weights = nnx.split(network)
+        self.use_weights(weights)
 
     def use_weights(self, weights: Any) -> None:
         """Goes on with other weights of the same network; nothing is compiled again."""
-        self._weights = weights
+        # Restored weights are bound to a device. So would be all that is computed with them, and
+        # JAX would compile anew for what is bound and what is not.
+        self._weights = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), weights)
 
     def check_query(
         self, scene: Scene, start: ArrayLike, goal: ArrayLike
