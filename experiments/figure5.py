@@ -84,6 +84,8 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
         for planner in PLANNERS:
             if planner in GUIDED and not varied:
                 continue
+            if planner == "guided_roadmap" and num_nodes != config.guided_num_nodes[0]:
+                continue
             for name, path in sets.items():
                 case = own_case(path, robot, planner, num_nodes, num)
                 row = {"set": name, "planner": planner, "num_nodes": num_nodes}
@@ -97,6 +99,8 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
                 yield row
     for planner in (*CLASSICAL, "ompl:rrt_connect@simplified", "ompl:rrt_connect@0.02"):
         for name, path in sets.items():
+            if planner == "ompl:rrt_connect@simplified" and name != "test":
+                continue
             case = classical_case(path, robot, planner, num)
             key = {"set": name, "planner": planner, "num_nodes": None}
             yield key | _measured(config, case)

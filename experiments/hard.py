@@ -42,8 +42,7 @@ from gnnjax.robot import load_robot
 
 CLAIM = "The harder the problem, the more the guide saves."
 PLANNERS = (
-    *("guided", "guided_roadmap"),
-    *("gnn", "gnn_lazy", "distance", "lazysp", "oracle", "prm"),
+    *("guided", "gnn", "gnn_lazy", "distance", "lazysp", "oracle", "prm"),
     *("ompl:rrt_connect", "ompl:bit_star"),
 )
 FAMILY_PLANNERS = (
