@@ -107,6 +107,8 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
     # At the resolution of an earlier measurement with PyBullet, to compare.
     for num_nodes in config.fine_num_nodes:
         for name, path in sets.items():
+            if name != "public":
+                continue
             case = own_case(path, robot, "guided@0.02", num_nodes, num)
             key = {"set": name, "planner": "guided@0.02", "num_nodes": num_nodes}
             yield key | _measured(config, case)
