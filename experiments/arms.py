@@ -2,7 +2,7 @@
 
     python -m experiments.arms
 
-The default planner on the Kinova (or `--arms franka_panda`, which was kept out of all training) with
+The default planner on the Kinova (or `--arms franka_panda`, kept out of all training) with
 the shipped weights, which were trained on the Kuka and the Kinova, beside weights that were trained
 on the arm alone, and weights that were trained on the Kuka alone, both for 300 batches; the shipped
 weights saw 1,500 of either arm. LazySP and RRT-Connect stand beside them. N = 400, 100 problems of
