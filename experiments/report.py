@@ -91,6 +91,8 @@ def bounds_table(rows: list[Row]) -> str:
     for num_nodes in sorted({row["num_nodes"] for row in rows if row["num_nodes"]}):
         found = {row["planner"]: row for row in rows if row["num_nodes"] == num_nodes}
         for planner in BOUNDED:
+            if planner not in found or "first_roadmap" not in found[planner]:
+                continue  # not compared at this size
             part = found[planner]["first_roadmap"]
             lines.append(
                 [str(num_nodes), label(planner)]
