@@ -168,7 +168,7 @@ class GuidedPlanner:
         """The jitted parts of a query, for one padding of the scene."""
         checker = make_checker(
             self.robot,
-            self.checker,  # type: ignore[arg-type]
+            self.checker,
             axis_aligned=axis_aligned,
             max_boxes=max_boxes,
             resolution=self.resolution,

@@ -274,7 +274,7 @@ def train(config: TrainConfig) -> Path:
                     )
                 checkpoints.save(epoch + 1, state)
             records.append(record)
-            _write_log(log, records)
+            write_log(log, records)
             _append_event(events, record, (epoch + 1) * steps_an_epoch)
     nnx.update(network, state.weights)
     save_network(config.out / "weights", network, {**_settings(config), "log": records[-1:]})
@@ -309,7 +309,8 @@ def _settings(config: TrainConfig) -> dict[str, Any]:
     return settings
 
 
-def _write_log(path: Path, records: list[dict[str, Any]]) -> None:
+def write_log(path: Path, records: list[dict[str, Any]]) -> None:
+    """Writes all records of a run anew, a line of JSON each."""
     text = "".join(json.dumps(record) + "\n" for record in records)
     atomic_write(path, lambda file: file.write_text(text, encoding="utf-8"))
 

@@ -24,12 +24,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from gnnjax.checkpoint import TrainingCheckpoints, save_network
 from gnnjax.collision import boxes_clear, make_checker
 from gnnjax.compilation import cache_compilations, over_problems
-from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
+from gnnjax.errors import InputError, check_seed, check_target, run_command
 from gnnjax.families import FAMILIES
 from gnnjax.family_problem import draw_family_scene
 from gnnjax.motion import MotionNetwork, make_prices
 from gnnjax.robot import Robot, load_robot
 from gnnjax.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
+from gnnjax.train import TrainState, write_log
 from gnnjax.workspace import ArmView, arm_view
 
 _MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
@@ -76,13 +77,6 @@ class Motions(NamedTuple):
     starts: Float[Array, "*batch M D"]  # configurations, rad or m
     ends: Float[Array, "*batch M D"]
     valid: Bool[Array, "*batch M"]  # at both ends and in between
-
-
-class TrainState(NamedTuple):
-    """All that changes while training; a checkpoint holds it."""
-
-    weights: Any
-    optimizer: optax.OptState
 
 
 def scene_sampler(robot: Robot) -> Callable[[jax.Array], Scene]:
@@ -288,7 +282,7 @@ def train_motion(config: TrainMotionConfig) -> Path:
                 record[f"edge_auc_{Path(name).stem}"] = area
             records.append(record)
             checkpoints.save(done, state)
-            _write_log(log, records)
+            write_log(log, records)
             areas = ", ".join(f"{v:.4f}" for k, v in record.items() if k.startswith("edge_auc"))
             progress.console.print(
                 f"step {done}: loss {record['loss']:.4f}, area under the curve of edges {areas}"
@@ -319,11 +313,6 @@ def _settings(config: TrainMotionConfig) -> dict[str, Any]:
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     del settings["resume"], settings["out"]
     return settings
-
-
-def _write_log(path: Path, records: list[dict[str, Any]]) -> None:
-    text = "".join(json.dumps(record) + "\n" for record in records)
-    atomic_write(path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
 def _read_log(path: Path, steps: int) -> list[dict[str, Any]]:
