@@ -18,7 +18,7 @@ from gnnjax.families import FAMILIES
 from gnnjax.generate import generate_labelled, problem_keys
 from gnnjax.problem import Problem
 from gnnjax.robot import Robot, load_robot
-from gnnjax.world import build_world, place_boxes
+from gnnjax.world import build_world, obstacles, place_boxes
 
 _TITLES = {
     "paper": "paper: 2 to 9 boxes",
@@ -65,7 +65,7 @@ def _render(robot: Robot, problem: Problem, on_one_side: bool) -> np.ndarray:
     model = build_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
     place_boxes(model, data, scene)
-    model.geom_rgba[[model.geom(f"box_{i}").id for i in range(len(scene.mask))], 3] = 0.45
+    model.geom_rgba[obstacles(model, len(scene.mask)).geoms, 3] = 0.45
     model.vis.global_.offwidth, model.vis.global_.offheight = 640, 600
     # Boxes that do not exist are far away, and would move the near clipping plane.
     model.stat.extent = 2.0

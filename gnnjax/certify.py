@@ -7,7 +7,9 @@ both would have to be wrong for a colliding path to pass.
 import functools
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from gnnjax.errors import InputError
 from gnnjax.robot import CAPSULE, Joint, Robot, require_round_geoms
 from gnnjax.scene import Scene
 
@@ -16,9 +18,11 @@ from gnnjax.scene import Scene
 _SHORTEST_PIECE = 1e-4
 _FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
 _PIECES_A_BATCH = 512
+_MOST_METERS = 1e4  # of a box; what lies beyond is no scene of an arm
+_QUAT_ERROR = 1e-4  # how far from 1 a quaternion's length may be
 
 
-def certify_path(robot: Robot, scene: Scene, path: np.ndarray) -> bool:
+def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
     """Proves that a path is free of collisions, boxes and the arm itself, along its whole length.
 
     The path is cut into pieces. A piece is free when, at its middle, every collision geom is
@@ -28,22 +32,29 @@ def certify_path(robot: Robot, scene: Scene, path: np.ndarray) -> bool:
     Args:
         robot: the arm, with spheres and capsules as collision geoms.
         scene: one scene.
-        path: `[L, D]` configurations, joined by straight lines.
+        path: `[L, D]` configurations, one or more, joined by straight lines.
 
     Returns:
         True if proven free; False if a collision was found or the path grazes something too
-        closely to tell.
+        closely to tell, leaves the joint limits, or is not a number somewhere.
+
+    Raises:
+        InputError: a path of another shape, or a scene with boxes that are none: whatever was
+            checked before, a scene must be finite, its boxes have a size, and its quaternions be
+            normalized.
     """
-    return (
-        all(certify_edges(robot, scene, path[:-1], path[1:]))
-        if len(path) > 1
-        else bool(certify_edges(robot, scene, path, path)[0])
-    )
+    path = _configurations(robot, "path", path)
+    if not len(path):
+        raise InputError("the path holds no configuration; give at least one")
+    last = max(1, len(path) - 1)  # a single configuration is its own end
+    return bool(certify_edges(robot, scene, path[:last], path[-last:]).all())
 
 
-def certify_edges(robot: Robot, scene: Scene, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def certify_edges(robot: Robot, scene: Scene, starts: ArrayLike, ends: ArrayLike) -> np.ndarray:
     """`certify_path` for each straight line from `starts` to `ends` `[E, D]`; returns `[E]`."""
-    starts, ends = np.asarray(starts, float), np.asarray(ends, float)
+    starts, ends = _configurations(robot, "starts", starts), _configurations(robot, "ends", ends)
+    if len(starts) != len(ends):
+        raise InputError(f"{len(starts)} starts and {len(ends)} ends; give one of each an edge")
     # Half an ulp of single precision: limits are stored as float32.
     slack = 1e-6
     lower, upper = robot.joint_lower - slack, robot.joint_upper + slack
@@ -74,6 +85,20 @@ def certify_edges(robot: Robot, scene: Scene, starts: np.ndarray, ends: np.ndarr
     return certified
 
 
+def _configurations(robot: Robot, name: str, values: ArrayLike) -> np.ndarray:
+    """Configurations `[N, D]` in double precision, or what is wrong with them."""
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is not an array of numbers; give [N, {robot.num_dof}]") from None
+    if array.ndim != 2 or array.shape[1] != robot.num_dof:
+        raise InputError(
+            f"{name} has shape {array.shape}; {robot.name} needs [N, {robot.num_dof}], a row of "
+            "joint values each"
+        )
+    return array
+
+
 def _lengths(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return np.linalg.norm(ends - starts, axis=1)
 
@@ -99,8 +124,8 @@ def _cut(
 def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
     """Distance [m] of the arm at q `[D]` to boxes and itself; negative in collision."""
     still = np.zeros((1, robot.num_dof))
-    body = _spheres(robot)
-    return float(body.clearance_and_need(_Boxes(scene), np.asarray(q, float)[None], still)[0][0])
+    q = _configurations(robot, "q[None]", np.asarray(q)[None])
+    return float(_spheres(robot).clearance_and_need(_Boxes(scene), q, still)[0][0])
 
 
 def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -111,16 +136,25 @@ def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
     return body.clearance_and_need(_Boxes(nothing), np.asarray(q, float), still)[0]
 
 
+def check_scene(scene: Scene) -> None:
+    """Refuses a scene that nothing can be proven in.
+
+    Raises:
+        InputError: a box that is not finite, has no size, or a quaternion that is not normalized.
+    """
+    _Boxes(scene)
+
+
 def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: float) -> float:
     """Least distance [m] of the arm to boxes and itself along a path, seen at samples.
 
     Args:
         robot: the arm.
         scene: one scene.
-        path: `[L, D]` configurations, joined by straight lines.
+        path: `[L, D]` configurations, two or more, joined by straight lines.
         resolution: largest distance of neighbouring samples, configuration units.
     """
-    path = np.asarray(path, float)
+    path = _configurations(robot, "path", path)
     pieces = _lengths(path[:-1], path[1:]) / resolution
     _, starts, _ = _cut(np.arange(len(path) - 1), path[:-1], path[1:], pieces)
     samples = np.concatenate([starts, path[-1:]])
@@ -133,9 +167,38 @@ class _Boxes:
 
     def __init__(self, scene: Scene):
         mask = np.asarray(scene.mask)
-        self.centers = np.asarray(scene.centers, float)[mask]
-        self.half_extents = np.asarray(scene.half_extents, float)[mask]
-        self.rotations = np.array([_rotation(q) for q in np.asarray(scene.quats, float)[mask]])
+        centers, half_extents, quats = (np.asarray(x, float) for x in scene[:3])
+        # Numbers instead of a mask would choose rows.
+        if mask.dtype != bool or mask.ndim != 1:
+            raise InputError(f"the mask of the scene is {mask.dtype} {mask.shape}; give bool [M]")
+        for name, array, width in (
+            ("centers", centers, 3),
+            ("half_extents", half_extents, 3),
+            ("quats", quats, 4),
+        ):
+            if array.shape != (len(mask), width):
+                raise InputError(
+                    f"{name} of the scene have shape {array.shape}; give [{len(mask)}, {width}]"
+                )
+        self.centers, self.half_extents, quats = centers[mask], half_extents[mask], quats[mask]
+        # Written so that NaN fails.
+        size = self.half_extents
+        _refuse_unless(np.abs(self.centers) <= _MOST_METERS, "centers", self.centers, "finite")
+        _refuse_unless((size > 0) & (size <= _MOST_METERS), "half_extents", size, "positive")
+        with np.errstate(over="ignore"):
+            norms = np.linalg.norm(quats, axis=1, keepdims=True)
+        _refuse_unless(np.abs(norms - 1) <= _QUAT_ERROR, "quats", quats, "of length 1")
+        self.rotations = np.array([_rotation(q) for q in quats / norms])
+
+
+def _refuse_unless(good: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:
+    bad = ~good.all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"existing box {int(bad.argmax())} of the scene has {name} "
+            f"{values[bad.argmax()].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
+            "make scenes with make_scene"
+        )
 
 
 class _Spheres:
@@ -143,6 +206,8 @@ class _Spheres:
 
     def __init__(self, robot: Robot):
         require_round_geoms(robot)
+        if not ((robot.geom_radii > 0) & np.isfinite(robot.geom_radii)).all():
+            raise InputError(f"geoms of {robot.name} have radii that are not positive; mend them")
         self.robot = robot
         owner, bodies, centers, radii = [], [], [], []
         for g in range(len(robot.geom_radii)):

@@ -42,6 +42,7 @@ EDGE_RESOLUTION = 0.05  # rad (or m) between neighbouring configurations tested 
 _BOX_PAIRS_A_PASS = 250
 _SELF_PAIRS_A_PASS = 600
 _FAR = 1e6  # m; where padding boxes are
+_MOST_INTERVALS = 20_000  # of an edge; its table of points has the square of them, 2 bytes each
 
 
 class EdgeChecks(NamedTuple):
@@ -85,7 +86,8 @@ def make_checker(
         resolution: largest distance of neighbouring configurations along an edge.
 
     Raises:
-        InputError: geom types that the backend cannot handle, or an unknown backend.
+        InputError: geom types that the backend cannot handle, an unknown backend, or a resolution
+            too fine for the arm's joint ranges.
     """
     if backend == "fused":
         clearance, collision_free = _fused(robot, axis_aligned)
@@ -102,7 +104,13 @@ def make_checker(
         inside = jnp.all((nodes >= lower) & (nodes <= upper), axis=-1)
         return inside & collision_free(scene, nodes)
 
-    order = bisection_order(int(np.ceil(np.linalg.norm(robot.joint_range) / resolution)) + 1)
+    most_intervals = int(np.ceil(np.linalg.norm(robot.joint_range) / resolution)) + 1
+    if most_intervals > _MOST_INTERVALS:
+        raise InputError(
+            f"resolution is {resolution}, which cuts the longest edge of {robot.name} into "
+            f"{most_intervals} pieces; at most {_MOST_INTERVALS} are supported, choose a larger one"
+        )
+    order = bisection_order(most_intervals)
 
     def check_edges(
         scene: Scene, starts: Float[Array, "E D"], ends: Float[Array, "E D"]

@@ -80,7 +80,7 @@ def subtract(a: Vector, b: Vector) -> Vector:
 
 
 def transform(position: Vector, rotation: Matrix, point: Vector) -> Vector:
-    """A point of a frame, in the world."""
+    """A point of a frame, where the frame is seen from."""
     return [add(p, dot(row, point)) for p, row in zip(position, rotation, strict=True)]
 
 
@@ -141,7 +141,10 @@ def _move(body: Body, position: Vector, rotation: Matrix, joints: Joints) -> Fra
 def forward_kinematics(
     robot: Robot, q: Float[Array, "*batch D"]
 ) -> tuple[Float[Array, "*batch L 3"], Float[Array, "*batch L 3 3"]]:
-    """World positions [m] and rotations of the robot's L bodies, in the order of `robot.bodies`."""
+    """Positions [m] and rotations of the robot's L bodies, in the order of `robot.bodies`.
+
+    Seen from the base of the arm, like scenes.
+    """
     frames = body_frames(robot, joint_terms(robot, q))
     shape = q.shape[:-1]
 

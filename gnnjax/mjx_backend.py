@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 from gnnjax.errors import InputError
 from gnnjax.robot import Robot
 from gnnjax.scene import Scene
-from gnnjax.world import FAR_AWAY, build_world
+from gnnjax.world import FAR_AWAY, build_world, obstacles
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints when the optional Warp is missing
     from mujoco import mjx
@@ -48,8 +48,7 @@ def mjx_functions(
             f"MJX cannot collide {robot.name}: {str(error).strip()}; cover its geoms with spheres "
             "(experiments/fit_collision.py does)"
         ) from None
-    box_geoms = np.array([world.geom(f"box_{i}").id for i in range(max_boxes)], int)
-    mocaps = np.array([world.body(f"box_{i}").mocapid[0] for i in range(max_boxes)], int)
+    _, box_geoms, mocaps = obstacles(world, max_boxes)
     far = np.array([[FAR_AWAY, 0.0, i] for i in range(max_boxes)]).reshape(max_boxes, 3)
 
     def clearance(scene: Scene, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:

@@ -15,11 +15,24 @@ from jaxtyping import Array, Bool, Float
 from gnnjax.errors import InputError, atomic_write
 from gnnjax.robot import Robot
 from gnnjax.sampling import sample_free
-from gnnjax.scene import Scene, box_bucket, pad_scene, sample_scene
+from gnnjax.scene import MOST_METERS, Scene, box_bucket, pad_scene, sample_scene, unit_quats
 
 MANIFEST = "manifest.json"  # of a folder of shards
 
 _NAMES = ("robot", "start", "goal", "box_centers", "box_half_extents", "box_quats", "num_boxes")
+
+# Further arrays are kept, but for those whose names are of obstacles: left out, they would be
+# planned through. Words of a name in the singular; and how the arrays of a kind of shape end.
+_SHAPE_WORDS = frozenset(
+    "box sphere capsule cylinder ellipsoid cone torus prism pyramid plane halfspace floor wall "
+    "mesh hull vertex vertice face triangle heightfield hfield cloud voxel octomap occupancy sdf "
+    "obstacle primitive shape".split()
+)
+_SHAPE_ENDINGS = tuple(
+    "_centers _quats _radii _half_lengths _half_extents _heights _points _normals _offsets "
+    "_poses".split()
+)
+_OWN_PREFIXES = ("roadmap_", "label_")  # of what is generated for training
 
 
 class Problem(NamedTuple):
@@ -81,13 +94,14 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
     """Writes a problem set as one `.npz` without pickles; replaces the file atomically.
 
     Raises:
-        InputError: an extra that only a pickle could hold.
+        InputError: an extra that only a pickle could hold, or one that names obstacles.
     """
     for name, value in problem_set.extras.items():
         if np.asarray(value).dtype.hasobject:
             raise InputError(
                 f"extra {name!r} holds Python objects; problem files hold numbers and strings alone"
             )
+    _check_further(f"problem file {str(path)!r}", problem_set.extras)
     start, goal, scene = jax.tree.map(np.asarray, problem_set.problems)
     # Existing boxes first, as the file has a number instead of a mask.
     order = np.argsort(~scene.mask, axis=1, kind="stable")
@@ -116,7 +130,8 @@ def load_problems(path: str | Path, robot: Robot) -> ProblemSet:
         robot: the arm that the problems must be for.
 
     Raises:
-        InputError: no such file, no problem set, wrong arrays, or another robot's problems.
+        InputError: no such file, no problem set, wrong arrays, further arrays that name obstacles,
+            or another robot's problems.
     """
     path = Path(path)
     return _load_shards(path, robot) if path.is_dir() else _load_file(path, robot)
@@ -245,6 +260,8 @@ def _load_file(path: Path, robot: Robot) -> ProblemSet:
             f"problem file {str(path)!r} is for robot {named!r}, not {robot.name!r}; "
             f"name that robot, or use problems of {robot.name}"
         )
+    extras = {name: value for name, value in arrays.items() if name not in _NAMES}
+    _check_further(f"problem file {str(path)!r}", extras)
     _check_shapes(path, arrays, robot.num_dof)
     mask = np.arange(arrays["box_centers"].shape[1]) < arrays["num_boxes"][:, None]
     start, goal, centers, half_extents, quats = (
@@ -252,20 +269,36 @@ def _load_file(path: Path, robot: Robot) -> ProblemSet:
         for name, rows in zip(_NAMES[1:6], (True, True, mask, mask, mask), strict=True)
     )
     _refuse(path, "box_half_extents", half_extents, ~(half_extents > 0), mask, "must be positive")
-    norms = np.linalg.norm(quats, axis=-1, keepdims=True)
-    _refuse(path, "box_quats", quats, norms < 1e-3, mask, "must be a rotation w x y z")
+    for name, lengths in (("box_centers", centers), ("box_half_extents", half_extents)):
+        rule = f"must be below {MOST_METERS:g} m"
+        _refuse(path, name, lengths, np.abs(lengths) > MOST_METERS, mask, rule)
+    zeros = np.abs(quats).max(axis=-1, keepdims=True, initial=0.0) < 1e-3
+    _refuse(path, "box_quats", quats, zeros, mask, "must be a rotation w x y z")
     # What lies on padding is replaced, so that no kernel meets NaN or a box without size there.
     exists = mask[..., None]
     scene = Scene(
         np.where(exists, centers, np.float32(0)),
         np.where(exists, half_extents, np.float32(0.1)),
-        np.where(exists, quats / np.where(exists, norms, 1), np.float32([1, 0, 0, 0])),
+        np.where(exists, unit_quats(np.where(exists, quats, 1)), [1, 0, 0, 0]).astype(np.float32),
         mask,
     )
     most = int(arrays["num_boxes"].max(initial=0))
     scene = pad_scene(jax.tree.map(lambda x: x[:, :most], scene), box_bucket(most))
-    extras = {name: value for name, value in arrays.items() if name not in _NAMES}
     return ProblemSet(robot.name, Problem(start, goal, scene), extras)
+
+
+def _check_further(source: str, extras: dict[str, np.ndarray]) -> None:
+    """Refuses further arrays whose names are of obstacles."""
+    for name in extras:
+        words = name.lower().split("_")
+        singular = {w.removesuffix(end) for w in words for end in ("", "s", "es")}
+        if name.startswith(_OWN_PREFIXES):
+            continue
+        if singular & _SHAPE_WORDS or name.lower().endswith(_SHAPE_ENDINGS):
+            raise InputError(
+                f"{source} has the array {name!r}, which names obstacles, and only boxes are "
+                "known; enclose them in boxes, or rename the array if it holds none"
+            )
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnnjax.certify import configuration_clearance
+from gnnjax.certify import check_scene, configuration_clearance
 from gnnjax.collision import Backend, boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.robot import Robot
@@ -39,8 +39,10 @@ def check_query(
     """Returns start and goal as arrays, or says what is wrong with the query.
 
     Raises:
-        InputError: start or goal is no valid configuration, or a box stands in the base.
+        InputError: start or goal is no valid configuration, a box is none, or one stands in the
+            base.
     """
+    check_scene(scene)
     clear = np.asarray(_base_clear(robot)(scene))
     if not clear.all():
         raise InputError(

@@ -2,6 +2,10 @@
 
 Everything here is NumPy, computed once when a robot is loaded. The arrays of `Robot` are constants
 from which `kinematics.py` and `collision.py` generate their kernels.
+
+Scenes are given in the frame of the arm's base, wherever the MJCF puts that in its world. So the
+MJCF is read with its world moved to the base (`mjcf.py`), and from there on, in every kernel, in
+MuJoCo's own models and in pictures, "the world" is the base.
 """
 
 import dataclasses
@@ -13,12 +17,12 @@ import mujoco
 import numpy as np
 
 from gnnjax.errors import InputError
+from gnnjax.mjcf import check_joints, check_numbers, joint_name, read_spec, self_pairs
 
 # MuJoCo geom types that the fused collision kernel understands.
 SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 def assets_dir() -> Path:
@@ -102,19 +106,21 @@ def load_robot(robot: str | Path) -> Robot:
     elif not path.is_file():
         raise InputError(f"no MJCF file at {str(path)!r}; check the path")
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        model = read_spec(path).compile()
     except ValueError as error:
         raise InputError(f"MuJoCo cannot read {str(path)!r}: {str(error).strip()}") from None
     return _robot_from_model(model, path)
 
 
 def _robot_from_model(model: mujoco.MjModel, path: Path) -> Robot:
-    _check_joints(model, path)
+    check_numbers(model, path)
+    check_joints(model, path)
     # Only bodies that carry geoms or joints matter, but keeping all makes parents simple:
     # MuJoCo's body 0 is the world, so body b is bodies[b - 1].
     bodies = tuple(_body(model, b) for b in range(1, model.nbody))
 
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    collides[model.pair_geom1] = collides[model.pair_geom2] = True
     geom_ids = np.flatnonzero(collides)
     if not len(geom_ids):
         raise InputError(
@@ -131,47 +137,38 @@ def _robot_from_model(model: mujoco.MjModel, path: Path) -> Robot:
     if numeric >= 0:
         begin, size = model.numeric_adr[numeric], model.numeric_size[numeric]
         velocity_limit = model.numeric_data[begin : begin + size].astype(np.float32)
-        if size != model.njnt or not (velocity_limit > 0).all():
+        if size != model.njnt or not ((velocity_limit > 0) & np.isfinite(velocity_limit)).all():
             raise InputError(
                 f"velocity_limit in {str(path)!r} is {velocity_limit.tolist()}; "
                 f"it needs {model.njnt} positive numbers, one a joint"
             )
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-    home = model.key_qpos[key] if key >= 0 else model.jnt_range.mean(axis=1)
+    lower, upper = (model.jnt_range[:, side].astype(np.float32) for side in (0, 1))
+    home = (model.key_qpos[key] if key >= 0 else model.jnt_range.mean(axis=1)).astype(np.float32)
+    outside = ~((home >= lower) & (home <= upper))  # NaN is outside, too
+    if outside.any():
+        j = int(outside.argmax())
+        raise InputError(
+            f"keyframe home of {str(path)!r} has {home[j]} for joint {joint_name(model, j)}; it "
+            f"must lie between {lower[j]} and {upper[j]}"
+        )
     return Robot(
         name=path.stem,
         path=path,
         mj_model=model,
         bodies=bodies,
-        joint_lower=model.jnt_range[:, 0].astype(np.float32),
-        joint_upper=model.jnt_range[:, 1].astype(np.float32),
+        joint_lower=lower,
+        joint_upper=upper,
         velocity_limit=velocity_limit,
-        home=home.astype(np.float32),
+        home=home,
         geom_ids=geom_ids,
         geom_bodies=model.geom_bodyid[geom_ids] - 1,
         geom_types=model.geom_type[geom_ids].copy(),
         geom_centers=model.geom_pos[geom_ids].copy(),
         geom_axes=axes,
         geom_radii=model.geom_size[geom_ids, 0].copy(),
-        self_pairs=_self_pairs(model, geom_ids),
+        self_pairs=self_pairs(model, geom_ids, path),
     )
-
-
-def _check_joints(model: mujoco.MjModel, path: Path) -> None:
-    if not model.njnt:
-        raise InputError(f"{str(path)!r} has no joints; planning needs at least one")
-    for j in range(model.njnt):
-        name = model.joint(j).name or f"number {j}"
-        if int(model.jnt_type[j]) not in (_HINGE, _SLIDE):
-            raise InputError(
-                f"joint {name} of {str(path)!r} is a free or ball joint; "
-                "planning supports hinge and slide joints"
-            )
-        if not model.jnt_limited[j]:
-            raise InputError(
-                f"joint {name} of {str(path)!r} has no limits; "
-                'give it range="lower upper" (one that turns without end: range="-3.1416 3.1416")'
-            )
 
 
 def _body(model: mujoco.MjModel, b: int) -> Body:
@@ -219,30 +216,3 @@ def _quat_to_matrix(quat: np.ndarray) -> np.ndarray:
         np.abs(np.abs(matrix) - 1.0) < 1e-12
     ]
     return matrix.reshape(3, 3)
-
-
-def _self_pairs(model: mujoco.MjModel, geom_ids: np.ndarray) -> np.ndarray:
-    """Pairs of geoms that MuJoCo would test against each other: its filters, restated.
-
-    Geoms are paired when their bits match and they belong to different welded bodies that are
-    neither parent and child (unless the parent is the world) nor an excluded pair.
-    """
-    weld, parent = model.body_weldid, model.body_parentid
-    signatures = set(model.exclude_signature.tolist())
-    filter_parent = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-    pairs = []
-    for i, first in enumerate(geom_ids):
-        for j, second in enumerate(geom_ids[i + 1 :], start=i + 1):
-            a, b = sorted((int(model.geom_bodyid[first]), int(model.geom_bodyid[second])))
-            wa, wb = int(weld[a]), int(weld[b])
-            bits = (model.geom_contype[first] & model.geom_conaffinity[second]) | (
-                model.geom_contype[second] & model.geom_conaffinity[first]
-            )
-            if not bits or wa == wb or (a << 16) + b in signatures:
-                continue
-            if filter_parent and wa and wb and wb in (weld[parent[wa]], wa):
-                continue
-            if filter_parent and wa and wb and wa == weld[parent[wb]]:
-                continue
-            pairs.append((i, j))
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)

@@ -15,15 +15,17 @@ from gnnjax.errors import InputError, atomic_write
 # Padded numbers of boxes; one compilation each. The first holds the paper's 2 to 9 boxes.
 BOX_BUCKETS = (10, 16, 32, 64)
 
+MOST_METERS = 1e4  # of any coordinate; single precision has lost a millimetre there
+
 _IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
 
 class Scene(NamedTuple):
-    """Oriented boxes in the frame of the robot's base."""
+    """Oriented boxes in the frame of the arm's base, wherever its MJCF puts that."""
 
     centers: Float[Array, "*batch M 3"]  # m
     half_extents: Float[Array, "*batch M 3"]  # m, positive
-    quats: Float[Array, "*batch M 4"]  # unit quaternions w x y z, box to world
+    quats: Float[Array, "*batch M 4"]  # unit quaternions w x y z, box to base
     mask: Bool[Array, "*batch M"]  # true where the box exists
 
 
@@ -55,7 +57,8 @@ def make_scene(
         source: how error messages call the scene, a file name for example.
 
     Raises:
-        InputError: wrong shape, a number that is not finite, a size that is not positive.
+        InputError: wrong shape, a number that is not finite or beyond 10 km, a size that is not
+            positive, a quaternion of zeros.
     """
     centers = _rows("centers", centers, 3, source)
     half_extents = _rows("half_extents", half_extents, 3, source)
@@ -73,31 +76,48 @@ def make_scene(
                 f"box {i} of {source} has half_extents {half_extents[i].tolist()}; "
                 "all three must be positive (m)"
             )
-    norms = np.linalg.norm(rotations, axis=1, keepdims=True)
-    if num and norms.min() < 1e-3:
+    largest = np.abs(rotations).max(axis=1, initial=0.0)
+    if num and largest.min() < 1e-3:
         raise InputError(
-            f"box {int(norms.argmin())} of {source} has the quaternion "
-            f"{rotations[int(norms.argmin())].tolist()}; give a rotation as w x y z, not zeros"
+            f"box {int(largest.argmin())} of {source} has the quaternion "
+            f"{rotations[int(largest.argmin())].tolist()}; give a rotation as w x y z, not zeros"
         )
-    scene = Scene(centers, half_extents, rotations / norms, np.ones(num, bool))
+    scene = Scene(
+        centers.astype(np.float32),
+        half_extents.astype(np.float32),
+        unit_quats(rotations).astype(np.float32),
+        np.ones(num, bool),
+    )
     return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
+
+
+def unit_quats(quats: np.ndarray) -> np.ndarray:
+    """Normalizes quaternions `[*batch, 4]`, however long they are; those of zeros stay."""
+    quats = np.asarray(quats, float)
+    # In double precision, and scaled first: the square of 1e20 is infinite in single precision.
+    largest = np.abs(quats).max(axis=-1, keepdims=True)
+    scaled = quats / np.where(largest > 0, largest, 1)
+    norms = np.linalg.norm(scaled, axis=-1, keepdims=True)
+    return scaled / np.where(norms > 0, norms, 1)
 
 
 def _rows(name: str, values: Sequence | np.ndarray, width: int, source: str) -> np.ndarray:
     try:
-        with np.errstate(over="ignore"):  # too large for float32 is infinite, and refused below
-            array = np.asarray(values, dtype=float).astype(np.float32)
+        array = np.asarray(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} of {source} are not numbers; give {width} a box") from None
     if array.size == 0:
-        return np.zeros((0, width), np.float32)
+        return np.zeros((0, width))
     if array.ndim != 2 or array.shape[1] != width:
         raise InputError(f"{name} of {source} have shape {array.shape}; give {width} numbers a box")
-    bad = ~np.isfinite(array).all(axis=1)
+    finite = np.isfinite(array)
+    bad = ~finite.all(axis=1)
+    if name != "quats":  # those are normalized, whatever their length
+        bad |= (np.abs(array) > MOST_METERS).any(axis=1)
     if bad.any():
         raise InputError(
             f"box {int(bad.argmax())} of {source} has {name} {array[bad.argmax()].tolist()}; "
-            "all numbers must be finite"
+            f"all numbers must be finite, and lengths below {MOST_METERS:g} m"
         )
     return array
 
@@ -159,14 +179,23 @@ def scene_from_json(path: str | Path) -> Scene:
     """Reads `{"boxes": [{"center": [x,y,z], "half_extents": [x,y,z], "quat": [w,x,y,z]}]}`.
 
     Raises:
-        InputError: the file is missing, is no JSON, or a box lacks what it needs.
+        InputError: the file is missing, is no JSON, holds anything but boxes, or a box lacks what
+            it needs.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).read_text(encoding="utf-8")
+        data = json.loads(text, object_pairs_hook=_unrepeated)
     except FileNotFoundError:
         raise InputError(f"no scene file {str(path)!r}; check the path") from None
     except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, or nested without end
         raise InputError(f"scene file {str(path)!r} is no JSON: {error}; mend it") from None
+    # What is not read would be planned through.
+    unknown = sorted(data.keys() - {"boxes"}) if isinstance(data, dict) else []
+    if unknown:
+        raise InputError(
+            f'scene file {str(path)!r} has {unknown}, and only "boxes" are known; enclose such '
+            "obstacles in boxes, and remove what is none"
+        )
     boxes = data.get("boxes") if isinstance(data, dict) else None
     if not isinstance(boxes, list):
         raise InputError(
@@ -180,6 +209,15 @@ def scene_from_json(path: str | Path) -> Scene:
         [box.get("quat", list(_IDENTITY_QUAT)) for box in boxes],
         source=repr(str(path)),
     )
+
+
+def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object as a dict; of a name that comes twice, JSON would drop the first value."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"{max(names, key=names.count)!r} comes twice in one object")
+    return found
 
 
 def _check_json_box(box: Any, called: str) -> None:

@@ -5,6 +5,7 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gnnjax.certify import (
     certify_edges,
@@ -12,6 +13,8 @@ from gnnjax.certify import (
     configuration_clearance,
     path_clearance,
 )
+from gnnjax.errors import InputError
+from gnnjax.query import check_query
 from gnnjax.robot import load_robot
 from gnnjax.scene import make_scene
 from tests.fine_scan import collides_anywhere, random_scene
@@ -124,3 +127,81 @@ def test_a_slide_joint_reaches_as_far_as_it_is_from_its_reference(tmp_path):
     robot = load_robot(path)
     assert collides_anywhere(robot, scene, edge)
     assert not certify_path(robot, scene, edge)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"centers": np.nan}, r"existing box 0 of the scene has centers \[nan, .* must be finite"),
+        ({"centers": np.inf}, "centers .* must be finite"),
+        ({"centers": 1e7}, "centers .* below 10000"),
+        ({"half_extents": -0.1}, r"half_extents \[-0.1.* must be positive"),
+        ({"half_extents": 0.0}, "half_extents .* must be positive"),
+        ({"half_extents": np.nan}, "half_extents .* must be positive"),
+        ({"quats": 0.0}, r"quats \[0.0, 0.0, 0.0, 0.0\], which must be of length 1"),
+        ({"quats": 1e20}, "quats .* must be of length 1"),
+        ({"quats": 0.7}, "quats .* must be of length 1"),
+        ({"quats": np.nan}, "quats .* must be of length 1"),
+    ],
+)
+def test_nothing_is_certified_among_boxes_that_are_none(robots, change, message):
+    good = make_scene([[2.0, 0.0, 0.0]], [[0.1] * 3])
+    name, value = next(iter(change.items()))
+    array = getattr(good, name).copy()
+    array[0] = value
+    bad, path = good._replace(**{name: array}), np.zeros((2, 3))
+    assert certify_path(robots["tiny"], good, path)
+    for certified in (
+        lambda: certify_path(robots["tiny"], bad, path),
+        lambda: certify_edges(robots["tiny"], bad, path[:1], path[1:]),
+        lambda: configuration_clearance(robots["tiny"], bad, path[0]),
+        lambda: check_query(robots["tiny"], bad, path[0], path[1]),
+    ):
+        with pytest.raises(InputError, match=message):
+            certified()
+    # Where no box is, anything may lie.
+    assert certify_path(robots["tiny"], bad._replace(mask=np.zeros(10, bool)), path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mask": np.ones(10, int)}, r"mask of the scene is int64 \(10,\)"),
+        ({"mask": np.ones(3, bool)}, r"centers of the scene have shape \(10, 3\); give \[3, 3\]"),
+        ({"quats": np.ones((10, 3))}, "quats of the scene have shape"),
+    ],
+)
+def test_a_scene_of_other_arrays_is_refused(robots, change, message):
+    scene = make_scene([[2.0, 0.0, 0.0]], [[0.1] * 3])._replace(**change)
+    with pytest.raises(InputError, match=message):
+        certify_path(robots["tiny"], scene, np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (np.zeros((0, 3)), "holds no configuration"),
+        ([], r"path has shape \(0,\); tiny needs \[N, 3\]"),
+        (np.zeros((2, 4)), r"path has shape \(2, 4\); tiny needs \[N, 3\]"),
+        (np.zeros(3), r"path has shape \(3,\)"),
+        ([["a", "b", "c"]], "path is not an array of numbers"),
+    ],
+)
+def test_a_path_of_another_shape_is_refused(robots, path, message):
+    with pytest.raises(InputError, match=message):
+        certify_path(robots["tiny"], make_scene([], []), path)
+
+
+def test_what_is_not_a_number_is_not_certified(robots):
+    path = np.array([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0], [0.0, 0.0, 0.0]])
+    assert not certify_path(robots["tiny"], make_scene([], []), path)
+    with pytest.raises(InputError, match="2 starts and 1 ends"):
+        certify_edges(robots["tiny"], make_scene([], []), np.zeros((2, 3)), np.zeros((1, 3)))
+
+
+def test_a_quaternion_of_nearly_length_one_turns_a_box_as_if_it_were(robots):
+    quat = Rotation.from_rotvec([0.3, -0.5, 0.9]).as_quat(scalar_first=True)
+    scene = make_scene([[1.0, 0.3, 0.3]], [[0.05, 0.2, 0.1]], [quat])
+    longer = scene._replace(quats=scene.quats * 1.00009)
+    found = [configuration_clearance(robots["tiny"], s, np.zeros(3)) for s in (scene, longer)]
+    assert found[0] == pytest.approx(found[1], abs=1e-6)

@@ -18,7 +18,7 @@ from gnnjax.collision import (
 from gnnjax.errors import InputError
 from gnnjax.robot import load_robot
 from gnnjax.scene import Scene, make_scene
-from gnnjax.world import build_world, place_boxes
+from gnnjax.world import build_world, obstacles, place_boxes
 
 MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
 CAPSULES = """
@@ -69,6 +69,7 @@ class Engine:
         self.model.geom_margin[:] = MARGIN
         self.model.body_margin[:] = MARGIN
         self.data = mujoco.MjData(self.model)
+        self.boxes = obstacles(self.model, max_boxes).geoms
 
     def place(self, scene):
         place_boxes(self.model, self.data, scene)
@@ -88,7 +89,7 @@ class Engine:
         return np.array([self.gap(row) for row in np.asarray(q, float)])
 
     def box_distance(self, geom, box):
-        other = self.model.geom(f"box_{box}").id
+        other = int(self.boxes[box])
         return mujoco.mj_geomDistance(self.model, self.data, geom, other, 10.0, None)
 
     def clearance(self, robot, scene, q):
@@ -182,6 +183,11 @@ def test_clearance_is_the_distance(capsules, tiny):
             np.testing.assert_allclose(found[clear], expected[clear], atol=1e-4)
             assert (found[~clear] < 1e-4).all()
         assert num_clear > 50
+
+
+def test_a_resolution_whose_table_of_points_would_overflow_is_refused(tiny):
+    with pytest.raises(InputError, match=r"resolution is 0.0003, .* choose a larger one"):
+        make_checker(tiny, resolution=3e-4)
 
 
 def test_clearance_shapes(tiny, tiny_checker):

@@ -102,6 +102,40 @@ def test_anything_on_padding_is_harmless(tmp_path, robot):
     assert_same_problems(load_problems(tmp_path / "set.npz", robot), loaded)
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cylinder_centers",
+        "num_cylinders",
+        "sphere_radii",
+        "capsule_half_lengths",
+        "box_radii",
+        "meshes",
+        "blob_quats",
+        "Obstacles",
+    ],
+)
+def test_an_array_that_names_obstacles_is_refused_read_or_written(tmp_path, robot, name):
+    problem_set = random_set()
+    save_problems(tmp_path / "set.npz", problem_set)
+    np.savez(tmp_path / "more.npz", **arrays_of(tmp_path / "set.npz"), **{name: np.zeros((6, 2))})
+    with pytest.raises(InputError, match=f"array '{name}', which names obstacles"):
+        load_problems(tmp_path / "more.npz", robot)
+    problem_set.extras[name] = np.zeros((6, 2))
+    with pytest.raises(InputError, match=f"array '{name}', which names obstacles"):
+        save_problems(tmp_path / "other.npz", problem_set)
+
+
+def test_a_long_quaternion_keeps_its_rotation(tmp_path, robot):
+    save_problems(tmp_path / "set.npz", random_set())
+    arrays = arrays_of(tmp_path / "set.npz")
+    arrays["box_quats"] *= np.float32(1e20)
+    np.savez(tmp_path / "long.npz", **arrays)
+    assert_same_problems(
+        load_problems(tmp_path / "set.npz", robot), load_problems(tmp_path / "long.npz", robot)
+    )
+
+
 def changed(name: str, change):
     def apply(arrays):
         arrays[name] = change(arrays[name].copy())
@@ -137,6 +171,8 @@ def put(value, *where):
         (changed("box_centers", put(np.inf, 1, 0)), r"problem 1 \(box 0\)"),
         (changed("box_half_extents", put(0, 1, 0, 2)), "must be positive"),
         (changed("box_quats", put(0, 1, 0)), "must be a rotation"),
+        (changed("box_centers", put(2e4, 1, 0)), "must be below 10000 m"),
+        (changed("box_half_extents", put(2e4, 1, 0)), "must be below 10000 m"),
     ],
 )
 def test_wrong_arrays_are_named_with_their_file(tmp_path, robot, damage, message):

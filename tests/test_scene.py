@@ -59,9 +59,17 @@ def test_quaternions_are_normalized():
     np.testing.assert_allclose(scene.quats[0], [0.6, 0, 0, 0.8], rtol=1e-6)
 
 
+@pytest.mark.parametrize("size", [1e20, 1e200, 1e-2])
+def test_a_quaternion_keeps_its_rotation_however_long_it_is(size):
+    scene = make_scene([[0, 0, 1]], [[0.1] * 3], [[0.6 * size, 0.0, 0.0, 0.8 * size]])
+    np.testing.assert_allclose(scene.quats[0], [0.6, 0, 0, 0.8], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (([[1e5, 0, 0]], [[1, 1, 1]]), r"box 0 .* centers \[100000.0, .* below 10000 m"),
+        (([[1, 0, 0]], [[1, 1e30, 1]]), r"half_extents .* below 10000 m"),
         (([[1, 2]], [[1, 1, 1]]), r"centers of the scene have shape \(1, 2\)"),
         (([1, 2, 3], [1, 1, 1]), r"centers of the scene have shape \(3,\)"),
         (("abc", [[1, 1, 1]]), "centers of the scene are not numbers"),
@@ -153,6 +161,30 @@ def test_a_bad_box_in_a_file_is_named_in_one_line(tmp_path, change, message):
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "[]", "{}", '{"boxes": 3}'])
 def test_a_file_that_holds_no_scene_is_an_input_error(tmp_path, text):
     with pytest.raises(InputError, match=r"scene\.json"):
+        scene_from_json(written(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "further", ["cylinders", "spheres", "capsules", "meshes", "Boxes", "comment", "frame"]
+)
+def test_what_a_scene_file_holds_beside_boxes_is_refused_and_named(tmp_path, further):
+    path = written(tmp_path, json.dumps({"boxes": [BOX], further: []}))
+    with pytest.raises(InputError, match=rf"scene\.json' has \['{further}'\], and only \"boxes\""):
+        scene_from_json(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ('{"boxes": [{"center": [0.5, 0, 0.7], "half_extents": [1, 1, 1]}], "boxes": []}', "boxes"),
+        (
+            '{"boxes": [{"center": [1, 0, 0], "half_extents": [1, 1, 1], "center": [9, 0, 0]}]}',
+            "center",
+        ),
+    ],
+)
+def test_what_comes_twice_in_a_scene_file_is_refused(tmp_path, text, name):
+    with pytest.raises(InputError, match=f"'{name}' comes twice in one object"):
         scene_from_json(written(tmp_path, text))
 
 

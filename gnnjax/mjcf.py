@@ -1,0 +1,146 @@
+"""MJCF files: read in the frame of the arm's base; refused where planning would misjudge them."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from gnnjax.errors import InputError
+
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+# Of a joint's range, rad or m: sixteen turns. The tables of points along an edge grow with it.
+_MOST_RANGE = 100.0
+_MOST_METERS = 1e4  # of any length of an arm; single precision has lost a millimetre there
+
+
+def read_spec(path: Path) -> mujoco.MjSpec:
+    """Reads an MJCF and moves its world to the frame of the arm's base.
+
+    The base is the body of the worldbody that carries all joints and is not moved by one. Where
+    there is none, as for two arms or a first link that hangs in the world itself, it is the world.
+
+    Raises:
+        ValueError: MuJoCo cannot read or compile it.
+    """
+    spec = mujoco.MjSpec.from_file(str(path))
+    model = spec.compile()
+    roots = set(model.body_rootid[model.jnt_bodyid].tolist())
+    base = roots.pop() if len(roots) == 1 else 0
+    if model.body_jntnum[base]:
+        base = 0
+    position, quat = model.body_pos[base], model.body_quat[base]
+    if not position.any() and (quat == [1, 0, 0, 0]).all():
+        return spec  # not even rounded
+    if not (np.isfinite(position).all() and np.isfinite(quat).all()):
+        return spec  # refused by `load_robot`
+    # The world seen from the base.
+    turned, moved, gravity = np.zeros(4), np.zeros(3), np.zeros(3)
+    mujoco.mju_negQuat(turned, quat)
+    mujoco.mju_rotVecQuat(moved, -position, turned)
+    mujoco.mju_rotVecQuat(gravity, spec.option.gravity, turned)
+    world = spec.worldbody
+    frame = world.add_frame(pos=moved, quat=turned)
+    placed = (world.bodies, world.geoms, world.sites, world.cameras, world.lights, world.frames)
+    for element in (x for elements in placed for x in elements):
+        # What has a frame already is moved along with it.
+        if element.frame is None and element is not frame:
+            element.set_frame(frame)
+    spec.option.gravity = gravity
+    return spec
+
+
+def check_numbers(model: mujoco.MjModel, path: Path) -> None:
+    """Refuses an MJCF with numbers that no kernel can compute with; MuJoCo takes them.
+
+    Raises:
+        InputError: a number that is not finite, or a length beyond 10 km.
+    """
+    lengths = ("body_pos", "jnt_pos", "geom_pos", "geom_size")
+    for name in (*lengths, "body_quat", "jnt_axis", "geom_quat", "qpos0"):
+        values = getattr(model, name)
+        bad = ~np.isfinite(values)
+        if name in lengths:
+            bad |= np.abs(values) > _MOST_METERS
+        if bad.any():
+            raise InputError(
+                f"{name} of {str(path)!r} holds {values[bad][0]}; all of an arm's numbers must be "
+                f"finite, and its lengths below {_MOST_METERS:g} m"
+            )
+
+
+def check_joints(model: mujoco.MjModel, path: Path) -> None:
+    """Refuses joints that planning cannot move.
+
+    Raises:
+        InputError: no joint, one that is neither hinge nor slide, or limits that bound nothing.
+    """
+    if not model.njnt:
+        raise InputError(f"{str(path)!r} has no joints; planning needs at least one")
+    for j in range(model.njnt):
+        name = joint_name(model, j)
+        if int(model.jnt_type[j]) not in (_HINGE, _SLIDE):
+            raise InputError(
+                f"joint {name} of {str(path)!r} is a free or ball joint; "
+                "planning supports hinge and slide joints"
+            )
+        if not model.jnt_limited[j]:
+            raise InputError(
+                f"joint {name} of {str(path)!r} has no limits; "
+                'give it range="lower upper" (one that turns without end: range="-3.1416 3.1416")'
+            )
+        lower, upper = model.jnt_range[j].astype(np.float32)
+        if not 0 < upper - lower <= _MOST_RANGE:  # NaN and infinity fail this, too
+            raise InputError(
+                f"joint {name} of {str(path)!r} has the range {lower:g} to {upper:g}; the second "
+                f"must be larger in single precision, by at most {_MOST_RANGE:g} rad (or m)"
+            )
+
+
+def joint_name(model: mujoco.MjModel, j: int) -> str:
+    """How error messages call a joint."""
+    return model.joint(j).name or f"number {j}"
+
+
+def self_pairs(model: mujoco.MjModel, geom_ids: np.ndarray, path: Path) -> np.ndarray:
+    """Pairs of geoms that MuJoCo would test against each other: its filters, restated.
+
+    Geoms are paired when their bits match and they belong to different welded bodies that are
+    neither parent and child (unless the parent is the world) nor an excluded pair. What
+    `<contact><pair>` names is paired whatever those filters say.
+
+    Raises:
+        InputError: there are links that could meet, and the bits of the geoms let none of them.
+    """
+    weld, parent = model.body_weldid, model.body_parentid
+    signatures = set(model.exclude_signature.tolist())
+    filter_parent = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    row = {int(g): i for i, g in enumerate(geom_ids)}
+    pairs = {
+        tuple(sorted((row[a], row[b])))
+        for a, b in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    }
+    could_meet = False
+    for i, first in enumerate(geom_ids):
+        for j, second in enumerate(geom_ids[i + 1 :], start=i + 1):
+            a, b = sorted((int(model.geom_bodyid[first]), int(model.geom_bodyid[second])))
+            wa, wb = int(weld[a]), int(weld[b])
+            if wa == wb or (a << 16) + b in signatures:
+                continue
+            if filter_parent and wa and wb and weld[parent[wb]] == wa:
+                continue
+            if filter_parent and wa and wb and weld[parent[wa]] == wb:
+                continue
+            could_meet = True
+            if (model.geom_contype[first] & model.geom_conaffinity[second]) | (
+                model.geom_contype[second] & model.geom_conaffinity[first]
+            ):
+                pairs.add((i, j))
+    if could_meet and not pairs:
+        raise InputError(
+            f"no two links of {str(path)!r} can collide, as contype and conaffinity of its geoms "
+            'have no bit in common; give them contype="1" conaffinity="1", and exclude the bodies '
+            "that may touch in <contact>"
+        )
+    return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
