@@ -37,12 +37,12 @@ from experiments.measure import (
     save_results,
     statistics,
 )
-from gnnjax.checkpoint import load_network, read_metadata
 from gnnjax.errors import atomic_write, run_command
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.model import Part
+from gnnjax.paper.network import Part
 from gnnjax.train import PRESETS, TrainConfig, train
+from gnnjax.training.checkpoint import load_network, read_metadata
 
 CLAIM = "Every part of the network saves edge checks."
 

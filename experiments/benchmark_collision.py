@@ -35,11 +35,11 @@ import mujoco
 import numpy as np
 import tyro
 
-from gnnjax.collision import boxes_clear, make_checker
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.checker import boxes_clear, make_checker
 from gnnjax.errors import InputError, atomic_write, run_command
-from gnnjax.robot import Robot, load_robot
-from gnnjax.scene import Scene, sample_scene
-from gnnjax.world import build_world, place_boxes
+from gnnjax.scene.mujoco_world import build_world, place_boxes
+from gnnjax.scene.scene import Scene, sample_scene
 
 MARGIN = 1e-3  # m; distances up to this are known where verdicts are compared
 UNSURE = 1e-4  # m; closer contacts may be judged either way in float32

@@ -23,10 +23,10 @@ from rich.progress import track
 from rich.table import Table
 
 from experiments.random_arm import BASE, random_arm
-from gnnjax.certify import certify_edges, configuration_clearance
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.certify import certify_edges, configuration_clearance
 from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
-from gnnjax.robot import Robot, load_robot
-from gnnjax.scene import Scene, make_scene
+from gnnjax.scene.scene import Scene, make_scene
 
 SHIPPED = ("kuka_iiwa14", "kinova_gen3", "franka_panda")
 _BLOCK = 50  # edges between two writes of the results

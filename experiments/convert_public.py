@@ -17,8 +17,8 @@ import numpy as np
 import tyro
 
 from gnnjax.errors import InputError, run_command
-from gnnjax.problem import Problem, ProblemSet, save_problems
-from gnnjax.scene import Scene
+from gnnjax.problems.problem import Problem, ProblemSet, save_problems
+from gnnjax.scene.scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)

@@ -52,11 +52,11 @@ from experiments.price import (
     without_overhead,
 )
 from experiments.style import COLORS, label
-from gnnjax.collision import make_checker
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.checker import make_checker
 from gnnjax.errors import atomic_write, run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.problem import load_problems
-from gnnjax.robot import load_robot
+from gnnjax.problems.problem import load_problems
 
 CLAIM = "The dearer a configuration check, the more a learned guide pays."
 OWN = (*GUIDES, "distance", "lazysp", "prm")

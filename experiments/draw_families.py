@@ -13,12 +13,12 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
+from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import atomic_write, run_command
-from gnnjax.families import FAMILIES
 from gnnjax.generate import generate_labelled, problem_keys
-from gnnjax.problem import Problem
-from gnnjax.robot import Robot, load_robot
-from gnnjax.world import build_world, obstacles, place_boxes
+from gnnjax.problems.families import FAMILIES
+from gnnjax.problems.problem import Problem
+from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
 
 _TITLES = {
     "paper": "paper: 2 to 9 boxes",

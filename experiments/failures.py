@@ -36,14 +36,14 @@ from experiments.measure import (
     statistics,
 )
 from experiments.style import COLORS, label
-from gnnjax.checkpoint import load_network
-from gnnjax.collision import make_checker
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.checker import make_checker
 from gnnjax.errors import atomic_write, run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.occupancy import occupancy_grid
-from gnnjax.problem import load_problems
-from gnnjax.robot import load_robot
-from gnnjax.scene import Scene
+from gnnjax.paper.occupancy import occupancy_grid
+from gnnjax.problems.problem import load_problems
+from gnnjax.scene.scene import Scene
+from gnnjax.training.checkpoint import load_network
 
 CLAIM = "What fails: dead ends, long paths, swinging back and forth, and a grid that is too coarse."
 PLANNERS = ("guided", "guided_sampled", "gnn_paper", "gnn", "gnn_lazy", "distance")

@@ -27,7 +27,7 @@ from experiments.measure import ExperimentConfig, measure, problem_sets, run_see
 from experiments.style import BAND, COLORS, label
 from gnnjax.errors import atomic_write, run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planner import Method
+from gnnjax.planning.planner import Method
 
 CLAIM = "A learned guide finds paths with fewer collision checks than PRM, RRT* and BIT* in R^7."
 

@@ -33,15 +33,15 @@ from matplotlib.figure import Figure
 from experiments import training
 from experiments.benchmark_collision import operations
 from experiments.measure import ExperimentConfig, save_results
-from gnnjax.checkpoint import load_network
-from gnnjax.collision import EDGE_RESOLUTION, make_checker
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
 from gnnjax.errors import atomic_write, run_command
 from gnnjax.generate import LabelledRoadmap, generate_labelled, problem_keys
-from gnnjax.motion import MotionNetwork, make_prices
-from gnnjax.robot import Robot, load_robot
-from gnnjax.scene import Scene
+from gnnjax.guide.motion import MotionNetwork, make_prices
+from gnnjax.guide.view import arm_view
+from gnnjax.scene.scene import Scene
 from gnnjax.train_motion import TrainMotionConfig, area_under_curve
-from gnnjax.workspace import arm_view
+from gnnjax.training.checkpoint import load_network
 
 CLAIM = "A few points of the arm tell valid edges from blocked ones for less than a check costs."
 EDGE_LENGTH = 3.0  # rad, of the edge that operations are counted for

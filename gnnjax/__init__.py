@@ -1,23 +1,36 @@
 """gnnjax: learned, batched motion planning for robot arms in JAX and MuJoCo."""
 
-from gnnjax.certify import certify_edges, certify_path
-from gnnjax.checkpoint import load_network, save_network
-from gnnjax.collision import Checker, EdgeChecks, boxes_clear, make_checker
+from gnnjax.arm.kinematics import forward_kinematics
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.certify import certify_edges, certify_path
+from gnnjax.collision.checker import Checker, EdgeChecks, boxes_clear, make_checker
 from gnnjax.errors import InputError
-from gnnjax.family_problem import FamilyProblem, sample_family_problem
-from gnnjax.guided_planner import GuidedPlanner
-from gnnjax.kinematics import forward_kinematics
-from gnnjax.labels import Labels, cost_to_go, edge_validity, label_roadmap
-from gnnjax.model import GuidanceNetwork
-from gnnjax.motion import MotionNetwork
-from gnnjax.planner import Planner, load_planner
-from gnnjax.problem import Problem, ProblemSet, load_problems, sample_problem, save_problems
-from gnnjax.query import Plan
-from gnnjax.roadmap import Roadmap, connect, default_radius, graphs_tuple, sample_roadmap
-from gnnjax.robot import Robot, load_robot
-from gnnjax.sampling import Samples, sample_free
-from gnnjax.scene import Scene, make_scene, pad_scene, sample_scene, scene_from_json, scene_to_json
-from gnnjax.search import Scorer, SearchResult, greedy_search, lazy_search
+from gnnjax.guide.motion import MotionNetwork
+from gnnjax.paper.network import GuidanceNetwork
+from gnnjax.planning.guided import GuidedPlanner
+from gnnjax.planning.planner import Planner, load_planner
+from gnnjax.planning.query import Plan
+from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
+from gnnjax.problems.problem import (
+    Problem,
+    ProblemSet,
+    load_problems,
+    sample_problem,
+    save_problems,
+)
+from gnnjax.roadmap.graph import Roadmap, connect, default_radius, graphs_tuple, sample_roadmap
+from gnnjax.roadmap.paths import Labels, cost_to_go, edge_validity, label_roadmap
+from gnnjax.roadmap.sampling import Samples, sample_free
+from gnnjax.scene.scene import (
+    Scene,
+    make_scene,
+    pad_scene,
+    sample_scene,
+    scene_from_json,
+    scene_to_json,
+)
+from gnnjax.search.lazy import Scorer, SearchResult, greedy_search, lazy_search
+from gnnjax.training.checkpoint import load_network, save_network
 
 __all__ = [
     "Checker",

@@ -26,20 +26,20 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gnnjax.classical import ClassicalMethod, ClassicalPlanner, ompl_version
-from gnnjax.collision import EDGE_RESOLUTION, Backend, make_checker
+from gnnjax.baselines.ompl import ClassicalMethod, ClassicalPlanner, ompl_version
+from gnnjax.collision.checker import EDGE_RESOLUTION, Backend, make_checker
 from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
-from gnnjax.guided_planner import GuidedPlanner
-from gnnjax.planner import (
+from gnnjax.planning.guided import GuidedPlanner
+from gnnjax.planning.planner import (
     DEFAULT_MAX_ROADMAPS,
     Method,
     Planner,
     check_guided_options,
     load_planner,
 )
-from gnnjax.problem import Problem, ProblemSet, load_problems
-from gnnjax.query import Plan
-from gnnjax.scene import is_axis_aligned
+from gnnjax.planning.query import Plan
+from gnnjax.problems.problem import Problem, ProblemSet, load_problems
+from gnnjax.scene.scene import is_axis_aligned
 
 # Of the result files; raised when what they hold changes its meaning.
 FORMAT = 2

@@ -18,13 +18,13 @@ import numpy as np
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gnnjax.collision import Backend, Checker, boxes_clear, make_checker
-from gnnjax.compilation import cache_compilations, over_problems
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.checker import Backend, Checker, boxes_clear, make_checker
+from gnnjax.devices import cache_compilations, over_problems
 from gnnjax.errors import InputError, check_seed, check_target, run_command
-from gnnjax.families import FAMILIES, FamilyName
-from gnnjax.family_problem import sample_family_problem
-from gnnjax.labels import Labels, edge_validity, label_roadmap
-from gnnjax.problem import (
+from gnnjax.problems.families import FAMILIES, FamilyName
+from gnnjax.problems.family_problem import sample_family_problem
+from gnnjax.problems.problem import (
     MANIFEST,
     Problem,
     ProblemSet,
@@ -36,9 +36,9 @@ from gnnjax.problem import (
     save_problems,
     save_shard,
 )
-from gnnjax.roadmap import Roadmap, default_radius, sample_roadmap
-from gnnjax.robot import Robot, load_robot
-from gnnjax.scene import BOX_BUCKETS
+from gnnjax.roadmap.graph import Roadmap, default_radius, sample_roadmap
+from gnnjax.roadmap.paths import Labels, edge_validity, label_roadmap
+from gnnjax.scene.scene import BOX_BUCKETS
 
 Split = Literal["train", "validation", "test"]
 Family: TypeAlias = Literal["paper"] | FamilyName

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gnnjax.collision import Backend
+from gnnjax.collision.checker import Backend
 from gnnjax.errors import InputError, atomic_write, check_target, run_command
-from gnnjax.planner import DEFAULT_MAX_ROADMAPS, load_planner
-from gnnjax.scene import scene_from_json
+from gnnjax.planning.planner import DEFAULT_MAX_ROADMAPS, load_planner
+from gnnjax.scene.scene import scene_from_json
 
 
 @dataclasses.dataclass(frozen=True)

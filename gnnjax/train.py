@@ -25,16 +25,16 @@ from tensorboardX.proto.event_pb2 import Event
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import masked_crc32c
 
-from gnnjax.checkpoint import TrainingCheckpoints, save_network
-from gnnjax.compilation import cache_compilations
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
 from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled, problem_keys
-from gnnjax.losses import graph_losses
-from gnnjax.model import GuidanceNetwork, Part
-from gnnjax.planner import Planner
-from gnnjax.problem import Problem, load_problems
-from gnnjax.robot import Robot, load_robot
-from gnnjax.workspace import point_distances
+from gnnjax.guide.view import point_distances
+from gnnjax.paper.losses import graph_losses
+from gnnjax.paper.network import GuidanceNetwork, Part
+from gnnjax.planning.planner import Planner
+from gnnjax.problems.problem import Problem, load_problems
+from gnnjax.training.checkpoint import TrainingCheckpoints, save_network
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,17 +21,17 @@ from flax import nnx
 from jaxtyping import Array, Bool, Float
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gnnjax.checkpoint import TrainingCheckpoints, save_network
-from gnnjax.collision import boxes_clear, make_checker
-from gnnjax.compilation import cache_compilations, over_problems
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.checker import boxes_clear, make_checker
+from gnnjax.devices import cache_compilations, over_problems
 from gnnjax.errors import InputError, check_seed, check_target, run_command
-from gnnjax.families import FAMILIES
-from gnnjax.family_problem import draw_family_scene
-from gnnjax.motion import MotionNetwork, make_prices
-from gnnjax.robot import Robot, load_robot
-from gnnjax.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
+from gnnjax.guide.motion import MotionNetwork, make_prices
+from gnnjax.guide.view import ArmView, arm_view
+from gnnjax.problems.families import FAMILIES
+from gnnjax.problems.family_problem import draw_family_scene
+from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
 from gnnjax.train import TrainState, write_log
-from gnnjax.workspace import ArmView, arm_view
+from gnnjax.training.checkpoint import TrainingCheckpoints, save_network
 
 _MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
 _PAPER_SHARE = 0.5  # of the scenes; the families share the rest

@@ -5,8 +5,8 @@ import itertools
 import mujoco
 import numpy as np
 
-from gnnjax.scene import make_scene
-from gnnjax.world import build_world, place_boxes
+from gnnjax.scene.mujoco_world import build_world, place_boxes
+from gnnjax.scene.scene import make_scene
 
 
 def random_scene(rng, num=3):

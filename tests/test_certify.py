@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gnnjax.certify import (
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import (
     certify_edges,
     certify_path,
     configuration_clearance,
     path_clearance,
 )
 from gnnjax.errors import InputError
-from gnnjax.query import check_query
-from gnnjax.robot import load_robot
-from gnnjax.scene import make_scene
+from gnnjax.planning.query import check_query
+from gnnjax.scene.scene import make_scene
 from tests.fine_scan import collides_anywhere, random_scene
 
 # Skew axes, anchors off the origin, a reference angle, a slide joint and several joints on a body.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.certify_campaign import CampaignConfig, make_arms, measure_block, run
-from gnnjax import certify
+from gnnjax.collision import certify
 
 
 @pytest.fixture(scope="module")

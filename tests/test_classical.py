@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from fine_scan import collides_anywhere, random_scene
 
-from gnnjax.certify import certify_path, configuration_clearance
-from gnnjax.classical import ClassicalPlanner
-from gnnjax.collision import make_checker
+from gnnjax.arm.robot import load_robot
+from gnnjax.baselines.ledger import Ledger, fused_checks, mujoco_checks
+from gnnjax.baselines.ompl import ClassicalPlanner
+from gnnjax.collision.certify import certify_path, configuration_clearance
+from gnnjax.collision.checker import make_checker
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, _within, evaluate, make_planner
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.ledger import Ledger, fused_checks, mujoco_checks
-from gnnjax.planner import Planner
-from gnnjax.problem import Problem
-from gnnjax.robot import load_robot
-from gnnjax.scene import make_scene
+from gnnjax.planning.planner import Planner
+from gnnjax.problems.problem import Problem
+from gnnjax.scene.scene import make_scene
 
 PLANNERS = ["ompl:rrt_connect", "ompl:rrt_star", "ompl:bit_star", "ompl:prm"]
 CHECKERS = ["fused", "mujoco"]
@@ -285,7 +285,7 @@ def test_a_simplified_path_that_does_not_hold_is_left(robot, walled, planners, m
 
 def test_simplifying_ends_with_the_time(robot, walled, planners, monkeypatch):
     """The path that was found is then the answer, and nothing more is tested."""
-    monkeypatch.setattr("gnnjax.classical._CLOSING_S", 5.0)
+    monkeypatch.setattr("gnnjax.baselines.ompl._CLOSING_S", 5.0)
     planner = ClassicalPlanner(robot, checker="mujoco", simplify=True, time_limit=5.0)
     (plain,) = planners["ompl:rrt_connect", "mujoco"].plan_batch(walled)
     (plan,) = planner.plan_batch(walled)

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from gnnjax.collision import (
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.checker import (
     EDGE_RESOLUTION,
     _check_edges,
     bisection_order,
@@ -16,9 +17,8 @@ from gnnjax.collision import (
     make_checker,
 )
 from gnnjax.errors import InputError
-from gnnjax.robot import load_robot
-from gnnjax.scene import Scene, make_scene
-from gnnjax.world import build_world, obstacles, place_boxes
+from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
+from gnnjax.scene.scene import Scene, make_scene
 
 MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
 CAPSULES = """

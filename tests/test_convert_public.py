@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from experiments.convert_public import ConvertConfig, convert
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.problem import load_problems
-from gnnjax.robot import load_robot
+from gnnjax.problems.problem import load_problems
 
 
 def entries(num: int = 4) -> list:

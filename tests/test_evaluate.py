@@ -9,14 +9,14 @@ import time
 import numpy as np
 import pytest
 
-from gnnjax.certify import certify_path
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import certify_path
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate, make_planner, print_summary, summarize
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.guided_planner import GuidedPlanner
-from gnnjax.problem import load_problems, save_problems
-from gnnjax.robot import load_robot
-from gnnjax.scene import Scene
+from gnnjax.planning.guided import GuidedPlanner
+from gnnjax.problems.problem import load_problems, save_problems
+from gnnjax.scene.scene import Scene
 
 ROW = (
     "success reason path edge_checks configuration_checks sampling_checks cost planning_time_s "

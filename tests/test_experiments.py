@@ -28,7 +28,7 @@ from experiments.measure import ExperimentConfig, load_results, statistics, summ
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
-from gnnjax.planner import Method
+from gnnjax.planning.planner import Method
 
 EXPERIMENTS = {
     "figure5": (figure5.Figure5Config, figure5.run),

@@ -11,15 +11,15 @@ import tyro
 from scipy.spatial.transform import Rotation
 
 from gnnjax import family_problem
-from gnnjax.certify import configuration_clearance
-from gnnjax.collision import boxes_clear, make_checker
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import configuration_clearance
+from gnnjax.collision.checker import boxes_clear, make_checker
 from gnnjax.errors import InputError
-from gnnjax.families import FAMILIES
-from gnnjax.family_problem import arm_reach, sample_family_problem
 from gnnjax.generate import GenerateConfig, generate, generate_labelled, problem_keys
-from gnnjax.problem import load_problems, read_manifest
-from gnnjax.robot import load_robot
-from gnnjax.scene import BOX_BUCKETS, is_axis_aligned
+from gnnjax.problems.families import FAMILIES
+from gnnjax.problems.family_problem import arm_reach, sample_family_problem
+from gnnjax.problems.problem import load_problems, read_manifest
+from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 

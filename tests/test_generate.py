@@ -11,11 +11,11 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from gnnjax.certify import configuration_clearance
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import configuration_clearance
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, from_problem_set, generate
-from gnnjax.problem import load_problems, read_manifest
-from gnnjax.robot import load_robot
+from gnnjax.problems.problem import load_problems, read_manifest
 
 
 @pytest.fixture(scope="module")

@@ -12,18 +12,18 @@ from flax import nnx
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gnnjax.certify import certify_edges, certify_path, configuration_clearance
-from gnnjax.collision import make_checker
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import certify_edges, certify_path, configuration_clearance
+from gnnjax.collision.checker import make_checker
 from gnnjax.errors import InputError
-from gnnjax.guided_planner import GuidedPlanner
-from gnnjax.motion import MotionNetwork
+from gnnjax.guide.motion import MotionNetwork
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
-from gnnjax.planner import Planner, load_planner
-from gnnjax.problem import Problem
-from gnnjax.robot import load_robot
-from gnnjax.scene import make_scene
-from gnnjax.stored import insert_ends, stored_roadmap
+from gnnjax.planning.guided import GuidedPlanner
+from gnnjax.planning.planner import Planner, load_planner
+from gnnjax.problems.problem import Problem
+from gnnjax.roadmap.stored import insert_ends, stored_roadmap
+from gnnjax.scene.scene import make_scene
 from tests.fine_scan import collides_anywhere
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

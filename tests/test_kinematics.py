@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from gnnjax.kinematics import forward_kinematics
-from gnnjax.robot import load_robot
+from gnnjax.arm.kinematics import forward_kinematics
+from gnnjax.arm.robot import load_robot
 
 # Skew axes, anchors off the origin, a reference angle, several joints on a body, a slide joint,
 # a branch, and a body without joints.

@@ -6,15 +6,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from gnnjax.certify import certify_edges, configuration_clearance
-from gnnjax.collision import boxes_clear, make_checker
+from gnnjax.arm.kinematics import forward_kinematics
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import certify_edges, configuration_clearance
+from gnnjax.collision.checker import boxes_clear, make_checker
 from gnnjax.errors import InputError
-from gnnjax.family_problem import arm_reach, tip_positions
-from gnnjax.kinematics import forward_kinematics
-from gnnjax.robot import load_robot
-from gnnjax.scene import make_scene
-from gnnjax.workspace import choose_points
-from gnnjax.world import build_world, obstacles, place_boxes
+from gnnjax.guide.view import choose_points
+from gnnjax.problems.family_problem import arm_reach, tip_positions
+from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
+from gnnjax.scene.scene import make_scene
 
 # A turned and lifted base, geoms in the world beside it, and a body in a frame.
 BASE = 'pos="0.3 -0.2 0.5" quat="0.8 0.1 -0.5 0.3"'

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from flax import nnx
 
-from gnnjax.checkpoint import load_network, save_network
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.motion import SPACING, MotionNetwork, Prices, make_prices
-from gnnjax.planner import load_planner
-from gnnjax.robot import load_robot
-from gnnjax.scene import make_scene
-from gnnjax.workspace import ArmView, arm_view
+from gnnjax.guide.motion import SPACING, MotionNetwork, Prices, make_prices
+from gnnjax.guide.view import ArmView, arm_view
+from gnnjax.planning.planner import load_planner
+from gnnjax.scene.scene import make_scene
+from gnnjax.training.checkpoint import load_network, save_network
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from flax import nnx
 
-from gnnjax.certify import certify_path, configuration_clearance
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import certify_path, configuration_clearance
 from gnnjax.errors import InputError
-from gnnjax.model import GuidanceNetwork
+from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
-from gnnjax.planner import Planner, load_planner
-from gnnjax.robot import load_robot
-from gnnjax.scene import make_scene
+from gnnjax.planning.planner import Planner, load_planner
+from gnnjax.scene.scene import make_scene
 from tests.fine_scan import collides_anywhere, random_scene
 
 

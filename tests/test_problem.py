@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.problem import (
+from gnnjax.problems.problem import (
     MANIFEST,
     Problem,
     ProblemSet,
@@ -18,8 +19,7 @@ from gnnjax.problem import (
     save_problems,
     save_shard,
 )
-from gnnjax.robot import load_robot
-from gnnjax.scene import Scene
+from gnnjax.scene.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 

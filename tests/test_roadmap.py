@@ -8,10 +8,10 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
-from gnnjax.collision import EdgeChecks
-from gnnjax.labels import cost_to_go, edge_validity, for_each_edge, label_roadmap
-from gnnjax.roadmap import connect, graphs_tuple, radius_for_degree, reverse_slots
-from gnnjax.robot import load_robot
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.checker import EdgeChecks
+from gnnjax.roadmap.graph import connect, graphs_tuple, radius_for_degree, reverse_slots
+from gnnjax.roadmap.paths import cost_to_go, edge_validity, for_each_edge, label_roadmap
 
 jitted_connect = jax.jit(connect, static_argnums=3)
 

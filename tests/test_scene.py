@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gnnjax.errors import InputError
-from gnnjax.scene import (
+from gnnjax.scene.scene import (
     BOX_BUCKETS,
     Scene,
     box_bucket,

@@ -10,12 +10,12 @@ from flax import nnx
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from gnnjax.collision import EdgeChecks
-from gnnjax.labels import edge_validity, label_roadmap
-from gnnjax.model import GuidanceNetwork
-from gnnjax.roadmap import connect
-from gnnjax.scene import make_scene
-from gnnjax.search import (
+from gnnjax.collision.checker import EdgeChecks
+from gnnjax.paper.network import GuidanceNetwork
+from gnnjax.roadmap.graph import connect
+from gnnjax.roadmap.paths import edge_validity, label_roadmap
+from gnnjax.scene.scene import make_scene
+from gnnjax.search.lazy import (
     GOAL,
     INVALID,
     UNKNOWN,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from gnnjax.collision import EdgeChecks
-from gnnjax.search import GOAL, INVALID
-from gnnjax.shorten import path_roadmap, search_shortened, shortened, spread_evenly
+from gnnjax.collision.checker import EdgeChecks
+from gnnjax.search.lazy import GOAL, INVALID
+from gnnjax.search.shorten import path_roadmap, search_shortened, shortened, spread_evenly
 
 NUM = 12
 

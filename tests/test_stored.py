@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.roadmap import default_radius
-from gnnjax.robot import load_robot
-from gnnjax.stored import NUM_LOCAL, add_local_nodes, insert_ends, stored_roadmap
-from gnnjax.world import build_world
+from gnnjax.roadmap.graph import default_radius
+from gnnjax.roadmap.stored import NUM_LOCAL, add_local_nodes, insert_ends, stored_roadmap
+from gnnjax.scene.mujoco_world import build_world
 
 NUM = 60  # nodes, of 198 with the padding
 

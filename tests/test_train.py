@@ -16,17 +16,22 @@ from tensorboardX.proto.event_pb2 import Event
 from tensorboardX.record_writer import masked_crc32c
 
 import gnnjax.train
-from gnnjax.checkpoint import TrainingCheckpoints, load_network, read_metadata, save_network
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, from_problem_set, generate
-from gnnjax.losses import graph_losses, step_targets, walk_losses
-from gnnjax.model import GuidanceNetwork
-from gnnjax.planner import load_planner
-from gnnjax.problem import load_problems
-from gnnjax.roadmap import edge_bucket
-from gnnjax.robot import load_robot
-from gnnjax.search import GOAL
+from gnnjax.paper.losses import graph_losses, step_targets, walk_losses
+from gnnjax.paper.network import GuidanceNetwork
+from gnnjax.planning.planner import load_planner
+from gnnjax.problems.problem import load_problems
+from gnnjax.roadmap.graph import edge_bucket
+from gnnjax.search.lazy import GOAL
 from gnnjax.train import LOSS_OPTIONS, PRESETS, TrainState, make_optimizer, parse, train
+from gnnjax.training.checkpoint import (
+    TrainingCheckpoints,
+    load_network,
+    read_metadata,
+    save_network,
+)
 
 
 @pytest.fixture(scope="module")

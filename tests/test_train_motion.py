@@ -9,16 +9,16 @@ import pytest
 from flax import nnx
 
 import gnnjax.train_motion
-from gnnjax.checkpoint import load_network, read_metadata
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.motion import MotionNetwork
-from gnnjax.robot import load_robot
+from gnnjax.guide.motion import MotionNetwork
 from gnnjax.train_motion import (
     TrainMotionConfig,
     area_under_curve,
     motion_sampler,
     train_motion,
 )
+from gnnjax.training.checkpoint import load_network, read_metadata
 from tests.fine_scan import collides_anywhere
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

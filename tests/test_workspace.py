@@ -10,11 +10,11 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.transform import Rotation
 
-from gnnjax.roadmap import connect
-from gnnjax.robot import load_robot
-from gnnjax.scene import make_scene
-from gnnjax.validity import RISK_WEIGHT, ValidityHead, cost_through, edge_distances
-from gnnjax.workspace import arm_view, choose_points, point_distances
+from gnnjax.arm.robot import load_robot
+from gnnjax.guide.view import arm_view, choose_points, point_distances
+from gnnjax.paper.validity import RISK_WEIGHT, ValidityHead, cost_through, edge_distances
+from gnnjax.roadmap.graph import connect
+from gnnjax.scene.scene import make_scene
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -97,7 +97,7 @@ def test_edge_distances_are_the_same_in_blocks(monkeypatch):
     nodes = make_roadmap().nodes
     near, far = jnp.arange(10), jnp.arange(10, 20)
     whole = edge_distances(nodes, near, far, 10, distances)
-    monkeypatch.setattr("gnnjax.validity._ROWS_A_BLOCK", 6)
+    monkeypatch.setattr("gnnjax.paper.validity._ROWS_A_BLOCK", 6)
     np.testing.assert_allclose(edge_distances(nodes, near, far, 10, distances), whole, atol=1e-6)
     few = np.asarray(edge_distances(nodes, near, far, 2, distances))
     np.testing.assert_allclose(few[:2], whole[:2], atol=1e-6)

@@ -1,0 +1,1 @@
+"""The arm: its MJCF, the constants read from it, and kinematics made of them."""

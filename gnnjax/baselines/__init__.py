@@ -1,0 +1,1 @@
+"""Planners from elsewhere, to compare with."""

@@ -1,0 +1,1 @@
+"""What prices motions without checking them."""

@@ -1,0 +1,1 @@
+"""The network of Diao, Chi and Wang, and what it needs."""

@@ -1,0 +1,130 @@
+"""A query and its answer: what every planner checks first and what it returns."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.certify import check_scene, configuration_clearance
+from gnnjax.collision.checker import Backend, boxes_clear
+from gnnjax.errors import InputError
+from gnnjax.scene.scene import Scene
+
+
+class Plan(NamedTuple):
+    """The answer to a query."""
+
+    success: bool
+    reason: str  # why there is no path; empty on success
+    path: np.ndarray  # [L D] configurations from start to goal; [0 D] without success
+    cost: float  # length of the path, configuration units; inf without success
+    certified: bool  # the path is proven free of collisions all along
+    edge_checks: int | None  # None for a planner that never asks about an edge
+    configuration_checks: int  # all of them: sampling and search
+    sampling_checks: int  # start, goal and the draws for nodes
+    search_checks: int  # along edges
+    planning_time_s: float  # from the roadmap to the path
+    total_time_s: float  # from the query to the path
+    roadmaps: int  # roadmaps sampled; 1 for planners that have none
+
+
+def check_query(
+    robot: Robot, scene: Scene, start: ArrayLike, goal: ArrayLike
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns start and goal as arrays, or says what is wrong with the query.
+
+    Raises:
+        InputError: start or goal is no valid configuration, a box is none, or one stands in the
+            base.
+    """
+    check_scene(scene)
+    clear = np.asarray(_base_clear(robot)(scene))
+    if not clear.all():
+        raise InputError(
+            f"box {int(np.argmin(clear))} of the scene touches the base of {robot.name}; "
+            "move it away"
+        )
+    ends = []
+    for name, q in (("start", start), ("goal", goal)):
+        try:
+            with np.errstate(over="ignore"):  # infinite in float32, and refused as such
+                q = np.asarray(q, dtype=np.float32)
+        except (TypeError, ValueError):
+            raise InputError(f"{name} {q!r} is not a list of numbers") from None
+        if q.shape != (robot.num_dof,):
+            raise InputError(
+                f"{name} has shape {q.shape}; {robot.name} needs {robot.num_dof} joint values"
+            )
+        bad = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))
+        if bad.any():
+            joint = int(bad.argmax())
+            raise InputError(
+                f"{name} has {q[joint]:.4g} for joint {joint + 1}; it must lie between "
+                f"{robot.joint_lower[joint]:.4g} and {robot.joint_upper[joint]:.4g}"
+            )
+        clearance = configuration_clearance(robot, scene, q)
+        if clearance <= 0:
+            raise InputError(
+                f"{name} {np.round(q, 4).tolist()} is in collision "
+                f"({-1e3 * clearance:.1f} mm deep); choose a free configuration"
+            )
+        ends.append(q)
+    return ends[0], ends[1]
+
+
+def path_length(path: np.ndarray) -> float:
+    """Length of a path `[L D]`, configuration units."""
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def make_plan(path: np.ndarray | None, reason: str, num_dof: int, **costs: Any) -> Plan:
+    """The plan of a planner that certifies its paths.
+
+    Args:
+        path: `[L D]` configurations; None without success.
+        reason: why there is no path.
+        num_dof: D.
+        costs: the other fields of `Plan`, all configuration checks apart.
+    """
+    success = path is not None
+    nodes = np.zeros((0, num_dof), np.float32) if path is None else path
+    return Plan(
+        success=success,
+        reason="" if success else reason,
+        path=nodes,
+        cost=path_length(nodes) if success else np.inf,
+        certified=success,
+        configuration_checks=costs["sampling_checks"] + costs["search_checks"],
+        **costs,
+    )
+
+
+def check_planner(checker: str, num_nodes: int, max_roadmaps: int) -> None:
+    """Refuses what no planner on roadmaps can work with."""
+    if checker not in get_args(Backend):
+        raise InputError(f"no checker {checker!r}; there are {list(get_args(Backend))}")
+    if num_nodes < 2:
+        raise InputError(f"num_nodes is {num_nodes}; a roadmap needs at least start and goal")
+    if max_roadmaps < 1:
+        raise InputError(f"max_roadmaps is {max_roadmaps}; it must be at least 1")
+
+
+def check_limits(resolution: float, time_limit: float) -> None:
+    """Refuses a resolution or a time limit that no planner could keep."""
+    # NaN fails both comparisons.
+    if not resolution >= 1e-3:
+        raise InputError(f"resolution is {resolution}; it must be at least 0.001 rad (or m)")
+    if not time_limit > 0:
+        raise InputError(f"time_limit is {time_limit}; it must be more than 0 s")
+
+
+@functools.cache
+def _base_clear(robot: Robot) -> Callable[[Scene], jax.Array]:
+    """The test of an arm's base against boxes, compiled."""
+    home = jnp.asarray(robot.home)
+    return jax.jit(functools.partial(boxes_clear, robot, q=home, base_only=True))

@@ -1,0 +1,1 @@
+"""Planning problems: drawn, labelled and kept on disk."""

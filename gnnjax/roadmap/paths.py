@@ -1,0 +1,152 @@
+"""Exact labels of a roadmap: which edges are valid, and how far every node is from the goal."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from gnnjax.collision.checker import EdgeChecks
+from gnnjax.roadmap.graph import Roadmap, reverse_slots
+
+_EDGES_A_BLOCK = 1024  # bounds the memory of labelling whatever the roadmap's size
+
+
+class Labels(NamedTuple):
+    """What planning on a roadmap can know at best."""
+
+    edge_valid: Bool[Array, "*batch N K"]  # true where a slot's edge is valid
+    cost_to_go: Float[Array, "*batch N"]  # to the goal over valid edges; inf if unreachable
+    next_node: Int[Array, "*batch N"]  # towards the goal; -1 at the goal and where unreachable
+
+
+class ValidityLabels(NamedTuple):
+    """Validity of all edges of a roadmap and what it took to find out."""
+
+    edge_valid: Bool[Array, "*batch N K"]
+    num_edge_checks: Int[Array, "*batch"]  # undirected edges
+    num_checks: Int[Array, "*batch"]  # configurations, as a sequential test would count
+
+
+def edge_validity(
+    roadmap: Roadmap, check_edges: Callable[[jax.Array, jax.Array], EdgeChecks]
+) -> ValidityLabels:
+    """Checks every undirected edge of a roadmap once.
+
+    Args:
+        roadmap: N nodes with K slots.
+        check_edges: `(starts [E D], ends [E D]) -> EdgeChecks`.
+    """
+    num, num_slots = roadmap.neighbors.shape
+    own = jnp.arange(num)[:, None]
+    once = (roadmap.neighbor_mask & (own < roadmap.neighbors)).reshape(-1)
+    most = num * num_slots // 2 + _EDGES_A_BLOCK  # so that the last block never leaves the array
+    (slots,) = jnp.nonzero(once, size=most, fill_value=-1)
+    count = once.sum()
+    neighbors = roadmap.neighbors.reshape(-1)
+    reverse = reverse_slots(roadmap).reshape(-1)
+
+    def unfinished(state):
+        return state[0] < count
+
+    def check_block(state):
+        done, valid, num_checks = state
+        block = jax.lax.dynamic_slice_in_dim(slots, done, _EDGES_A_BLOCK)
+        real = block >= 0
+        # Padding edges go from a node to itself, which costs no configuration.
+        sender = jnp.where(real, block // num_slots, 0)
+        receiver = jnp.where(real, neighbors[block], 0)
+        checks = check_edges(roadmap.nodes[sender], roadmap.nodes[receiver])
+        found = real & checks.valid
+        outside = num * num_slots
+        valid = valid.at[jnp.where(found, block, outside)].set(True, mode="drop")
+        valid = valid.at[jnp.where(found, reverse[block], outside)].set(True, mode="drop")
+        tested = jnp.sum(checks.num_checks, where=real)
+        return done + _EDGES_A_BLOCK, valid, num_checks + tested
+
+    start = (jnp.int32(0), jnp.zeros(num * num_slots, bool), jnp.int32(0))
+    _, valid, num_checks = jax.lax.while_loop(unfinished, check_block, start)
+    return ValidityLabels(valid.reshape(num, num_slots), count.astype(jnp.int32), num_checks)
+
+
+def for_each_edge(
+    roadmap: Roadmap, value: Callable[[jax.Array, jax.Array], jax.Array], block: int = 256
+) -> Float[Array, "N K"]:
+    """A value of every undirected edge, the same in both its slots; zero on padding.
+
+    Args:
+        roadmap: N nodes with K slots.
+        value: `(starts [B D], ends [B D]) -> [B]`.
+        block: B, edges at once.
+    """
+    num, num_slots = roadmap.neighbors.shape
+    once = roadmap.neighbor_mask & (jnp.arange(num)[:, None] < roadmap.neighbors)
+    (slots,) = jnp.nonzero(once.ravel(), size=num * num_slots // 2 + block, fill_value=-1)
+    reverse, neighbors = reverse_slots(roadmap).ravel(), roadmap.neighbors.ravel()
+    outside = num * num_slots  # dropped
+
+    def ask(i: jax.Array, values: jax.Array) -> jax.Array:
+        slot = jax.lax.dynamic_slice_in_dim(slots, i * block, block)
+        found = value(roadmap.nodes[slot // num_slots], roadmap.nodes[neighbors[slot]])
+        for way in (slot, reverse[slot]):
+            values = values.at[jnp.where(slot >= 0, way, outside)].set(found, mode="drop")
+        return values
+
+    blocks = (once.sum() + block - 1) // block
+    values = jax.lax.fori_loop(0, blocks, ask, jnp.zeros(num * num_slots))
+    return values.reshape(num, num_slots)
+
+
+def cost_to_go(
+    roadmap: Roadmap,
+    edge_cost: Float[Array, "N K"],
+    goal: int | Int[Array, ""] = 1,
+    start: int | Int[Array, ""] | None = None,
+) -> Float[Array, " N"]:
+    """Cost of the cheapest way from every node to the goal, by Bellman-Ford sweeps.
+
+    Args:
+        roadmap: N nodes with K slots.
+        edge_cost: non-negative cost of each slot's edge; inf where it cannot be used.
+        goal: node to reach.
+        start: stop as soon as its cost, and those of the nodes on its way, are final; the others
+            may come out too high then.
+    """
+    edge_cost = jnp.where(roadmap.neighbor_mask, edge_cost, jnp.inf)
+    costs = jnp.full(len(roadmap.nodes), jnp.inf).at[goal].set(0.0)
+
+    def changing(state):
+        return state[1]
+
+    def sweep(state):
+        cost, _ = state
+        better = jnp.minimum(cost, jnp.min(edge_cost + cost[roadmap.neighbors], axis=1))
+        changed = better < cost
+        if start is not None:
+            # What is dearer than the start already is not on its way.
+            changed &= better <= better[start]
+        return better, jnp.any(changed)
+
+    return jax.lax.while_loop(changing, sweep, (costs, jnp.bool_(True)))[0]
+
+
+def next_slots(
+    roadmap: Roadmap, edge_cost: Float[Array, "N K"], cost: Float[Array, " N"]
+) -> Int[Array, " N"]:
+    """The slot through which the cheapest way to the goal leaves each node, given its cost-to-go.
+
+    Any slot where the goal cannot be reached.
+    """
+    edge_cost = jnp.where(roadmap.neighbor_mask, edge_cost, jnp.inf)
+    return jnp.argmin(edge_cost + cost[roadmap.neighbors], axis=1).astype(jnp.int32)
+
+
+def label_roadmap(roadmap: Roadmap, edge_valid: Bool[Array, "N K"]) -> Labels:
+    """Cost-to-go and next node on the valid edges of a roadmap."""
+    edge_cost = jnp.where(edge_valid, roadmap.lengths, jnp.inf)
+    cost = cost_to_go(roadmap, edge_cost)
+    slots = next_slots(roadmap, edge_cost, cost)
+    following = jnp.take_along_axis(roadmap.neighbors, slots[:, None], axis=1)[:, 0]
+    reachable = jnp.isfinite(cost) & (jnp.arange(len(cost)) != 1)
+    return Labels(edge_valid, cost, jnp.where(reachable, following, -1))

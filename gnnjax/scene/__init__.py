@@ -1,0 +1,1 @@
+"""The obstacles, and the arm among them as a MuJoCo world."""

@@ -1,0 +1,105 @@
+"""The arm and its obstacles as one MuJoCo model, for the C engine and pictures."""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from gnnjax.arm.mjcf import read_spec
+from gnnjax.arm.robot import Robot
+from gnnjax.scene.scene import Scene
+
+# Where boxes that do not exist are put: far enough to be clear, near enough for float32.
+FAR_AWAY = 1e3
+
+# All bits of MuJoCo's contype and conaffinity.
+_ALL_BITS = -1
+# Flags of an MJCF that would hide contacts from the C engine.
+_HIDING = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+
+class Obstacles(NamedTuple):
+    """Where a world has its movable boxes; they come last in it."""
+
+    bodies: np.ndarray  # [M] body ids
+    geoms: np.ndarray  # [M] geom ids
+    mocaps: np.ndarray  # [M] rows of `mocap_pos`
+
+
+def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
+    """Compiles the arm with `max_boxes` movable boxes, which `obstacles` finds.
+
+    Each box is a mocap body of its own. A geom that sits in the worldbody and is moved after
+    compilation would keep the bounding volume of its old place, and the C engine would miss it.
+    """
+    spec = read_spec(robot.path)
+    spec.option.disableflags &= ~_HIDING
+    spec.memory = -1  # as much as the contacts need, whatever the MJCF says
+    prefix = "box_"
+    while any(x.name.startswith(prefix) for x in (*spec.bodies, *spec.geoms)):
+        prefix = f"_{prefix}"
+    ignored = _static_bodies(spec, prefix)
+    paired = _paired_alone(robot)
+    for i in range(max_boxes):
+        body = spec.worldbody.add_body(name=f"{prefix}{i}", mocap=True, pos=[FAR_AWAY, 0, i])
+        # All bits: an obstacle meets whatever collision group a robot's author chose.
+        body.add_geom(
+            name=f"{prefix}{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.1, 0.1, 0.1],
+            contype=_ALL_BITS,
+            conaffinity=_ALL_BITS,
+            rgba=[0.75, 0.55, 0.35, 1.0],
+        )
+        # MuJoCo pairs a mocap body with static bodies; that says nothing about a configuration.
+        for name in ignored:
+            spec.add_exclude(bodyname1=name, bodyname2=body.name)
+        ignored.append(body.name)
+        for name in paired:
+            spec.add_pair(geomname1=name, geomname2=body.name)
+    return spec.compile()
+
+
+def obstacles(model: mujoco.MjModel, max_boxes: int) -> Obstacles:
+    """The boxes of a world from `build_world`, in the order of a scene's."""
+    last = np.arange(-max_boxes, 0)
+    return Obstacles(model.nbody + last, model.ngeom + last, model.nmocap + last)
+
+
+def _static_bodies(spec: mujoco.MjSpec, prefix: str) -> list[str]:
+    """Names of the world and the bodies welded to it; bodies without a name get one."""
+    names, bodies = [], [spec.worldbody]
+    while bodies:
+        body = bodies.pop()
+        if not body.name:
+            body.name = f"{prefix}static_{len(names)}"
+        names.append(body.name)
+        bodies += [child for child in body.bodies if not child.joints]
+    return names
+
+
+def _paired_alone(robot: Robot) -> list[str]:
+    """Names of the moving geoms that collide by the MJCF's explicit pairs alone, not by bits."""
+    model = robot.mj_model
+    return [
+        model.geom(g).name  # they have names, or no pair could name them
+        for g in robot.geom_ids.tolist()
+        if not (model.geom_contype[g] or model.geom_conaffinity[g])
+        and model.body_weldid[model.geom_bodyid[g]]
+    ]
+
+
+def place_boxes(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
+    """Moves the boxes of a world to a scene's places and sizes, in place."""
+    mask = np.asarray(scene.mask)
+    for i, (body, geom, mocap) in enumerate(zip(*obstacles(model, len(mask)), strict=True)):
+        exists = bool(mask[i])
+        data.mocap_pos[mocap] = np.asarray(scene.centers[i]) if exists else [FAR_AWAY, 0, i]
+        data.mocap_quat[mocap] = np.asarray(scene.quats[i]) if exists else [1, 0, 0, 0]
+        if exists:
+            size = np.asarray(scene.half_extents[i], dtype=float)
+            model.geom_size[geom] = size
+            model.geom_rbound[geom] = np.linalg.norm(size)
+            model.geom_aabb[geom, 3:] = size
+            node = model.body_bvhadr[body]
+            model.bvh_aabb[node, 3:] = size

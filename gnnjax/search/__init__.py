@@ -1,0 +1,1 @@
+"""Searches on one roadmap; no network in sight."""

@@ -1,0 +1,278 @@
+"""Weights on disk: an Orbax folder with the network's weights, and how they came about.
+
+A checkpoint of a training run has the same form, with the state of the optimizer beside the
+weights, so that either can be planned with.
+"""
+
+import errno
+import importlib.metadata
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import orbax.checkpoint as ocp
+import tensorstore
+from flax import nnx
+
+from gnnjax.errors import InputError
+from gnnjax.guide.motion import MotionNetwork
+from gnnjax.paper.network import GuidanceNetwork
+
+Network: TypeAlias = GuidanceNetwork | MotionNetwork
+_KINDS: dict[str, type[Network]] = {
+    kind.__name__: kind for kind in (GuidanceNetwork, MotionNetwork)
+}
+
+# Of what is stored; raised when an older reader could no longer make sense of it.
+FORMAT = 1
+
+
+def find_weights(weights: str | Path) -> Path:
+    """The folder of a checkpoint: a path, or the name of weights that come with the package.
+
+    Raises:
+        InputError: there is neither.
+    """
+    shipped = Path(__file__).parents[1] / "weights"
+    for folder in (Path(weights), shipped / weights):
+        if folder.is_dir():
+            return folder
+    known = sorted(folder.name for folder in shipped.iterdir() if folder.is_dir())
+    raise InputError(
+        f"no checkpoint folder {str(weights)!r}; train one (python -m gnnjax.train), or name one "
+        f"of {known}"
+    )
+
+
+def default_weights(robot: str, method: str) -> Path:
+    """The shipped weights for a robot and a planner.
+
+    The motion network of "guided" serves all arms. Of the guidance networks there are the robot's
+    own, or those of the Kuka, which serve other arms.
+    """
+    shipped = Path(__file__).parents[1] / "weights"
+    if method == "guided":
+        return shipped / "motion"
+    return shipped / (robot if (shipped / robot).is_dir() else "kuka_iiwa14")
+
+
+def metadata(network: Network, training: dict[str, Any]) -> dict[str, Any]:
+    """What a checkpoint says of itself: enough to rebuild the network without being told anything.
+
+    Args:
+        network: whose constructor arguments are kept.
+        training: the configuration of the run, as JSON.
+    """
+    version = importlib.metadata.version("gnnjax")
+    return {
+        "format": FORMAT,
+        "version": version,
+        "network": type(network).__name__,
+        "model": network.config,
+        "training": training,
+    }
+
+
+def save_network(folder: str | Path, network: Network, training: dict[str, Any]) -> None:
+    """Writes the weights of a network; replaces the folder only when all is written.
+
+    Args:
+        folder: of the checkpoint.
+        network: what to keep.
+        training: the configuration of the run and its results, as JSON.
+    """
+    folder = Path(folder).resolve()
+    # Orbax would remove the old folder before it writes the new one.
+    new, old = (folder.with_name(f".{folder.name}-{age}") for age in ("new", "old"))
+    weights = nnx.to_pure_dict(nnx.state(network, nnx.Param))
+    items = ocp.args.Composite(
+        weights=ocp.args.StandardSave(weights),
+        meta=ocp.args.JsonSave(metadata(network, training)),
+    )
+    with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
+        _write(folder, weights, lambda: checkpointer.save(new, args=items, force=True))
+    if folder.exists():
+        shutil.rmtree(old, ignore_errors=True)
+        folder.rename(old)
+    new.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def read_metadata(folder: str | Path) -> dict[str, Any]:
+    """Reads and checks what a checkpoint says of itself.
+
+    Raises:
+        InputError: no checkpoint, a damaged one, or one of another format.
+    """
+    folder = Path(folder).resolve()
+    if not folder.is_dir():
+        raise InputError(f"no checkpoint folder {str(folder)!r}; train one: python -m gnnjax.train")
+    meta = _restore(folder, meta=ocp.args.JsonRestore())["meta"]
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        found = meta.get("format") if isinstance(meta, dict) else meta
+        version = meta.get("version", "unknown") if isinstance(meta, dict) else "unknown"
+        raise InputError(
+            f"checkpoint {str(folder)!r} has format {found!r} (gnnjax {version}), this version "
+            f"reads format {FORMAT}; train again, or install the version that wrote it"
+        )
+    return meta
+
+
+def load_network(weights: str | Path) -> Network:
+    """Rebuilds a network from its checkpoint.
+
+    Args:
+        weights: folder of a checkpoint, or the name of shipped weights.
+
+    Raises:
+        InputError: no checkpoint, a damaged one, or one of another format.
+    """
+    folder = find_weights(weights).resolve()
+    meta = read_metadata(folder)
+    try:
+        # Shapes alone: drawing initial weights to throw them away takes seconds.
+        # Checkpoints that do not say are older than the second kind.
+        kind = _KINDS[meta.get("network", GuidanceNetwork.__name__)]
+        blank = nnx.eval_shape(lambda: kind(**meta["model"], rngs=nnx.Rngs(0)))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"checkpoint {str(folder)!r} describes no network of this version ({error}); "
+            "train again"
+        ) from None
+    graphdef, shapes = nnx.split(blank)
+    target = _on_this_device(nnx.to_pure_dict(shapes))
+    weights = _restore(folder, weights=ocp.args.StandardRestore(target))["weights"]
+    nnx.replace_by_pure_dict(shapes, weights)
+    return nnx.merge(graphdef, shapes)
+
+
+def _on_this_device(shapes: Any) -> Any:
+    """Says where restored arrays go, wherever they were when they were saved."""
+    sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding), shapes)
+
+
+class TrainingCheckpoints:
+    """The checkpoints of a training run, one folder an epoch; the last two are kept.
+
+    Args:
+        folder: made if missing.
+        network: of the run, for its description.
+        settings: of the run, as JSON; a run goes on only with the same ones.
+    """
+
+    def __init__(self, folder: str | Path, network: Network, settings: dict[str, Any]):
+        self.folder = Path(folder).resolve()
+        self._meta = metadata(network, settings)
+        options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)
+        self._manager = ocp.CheckpointManager(self.folder, options=options)
+
+    def __enter__(self) -> "TrainingCheckpoints":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._manager.close()
+
+    def latest(self) -> int | None:
+        """The epoch of the last checkpoint."""
+        return self._manager.latest_step()
+
+    def save(self, epoch: int, state: Any) -> None:
+        """Writes `state` (weights, optimizer) after an epoch."""
+        items = ocp.args.Composite(
+            weights=ocp.args.StandardSave(nnx.to_pure_dict(state.weights)),
+            optimizer=ocp.args.StandardSave(_by_number(state.optimizer)),
+            meta=ocp.args.JsonSave(self._meta),
+        )
+        _write(
+            self.folder / str(epoch),
+            (state.weights, state.optimizer),
+            lambda: self._manager.save(epoch, args=items, force=True),
+        )
+
+    def restore(self, state: Any) -> tuple[int, Any]:
+        """The last epoch written, and `state` as it was then.
+
+        Raises:
+            InputError: there is none, it is damaged, or it is of a run with other settings.
+        """
+        epoch = self.latest()
+        if epoch is None:
+            raise InputError(f"no checkpoint in {str(self.folder)!r}; start without --resume")
+        folder = self.folder / str(epoch)
+        meta = read_metadata(folder)
+        ours, theirs = json.loads(json.dumps(self._meta["training"])), meta["training"]
+        for name in sorted(ours.keys() | theirs.keys()):
+            # What was no option yet when the run began is off, whatever that looks like.
+            if (ours.get(name) or None) != (theirs.get(name) or None):
+                raise InputError(
+                    f"the run in {str(self.folder)!r} has {name} {theirs.get(name)!r}, not "
+                    f"{ours.get(name)!r}; go on with the same settings"
+                )
+        shapes = _on_this_device((nnx.to_pure_dict(state.weights), _by_number(state.optimizer)))
+        items = _restore(
+            folder,
+            weights=ocp.args.StandardRestore(shapes[0]),
+            optimizer=ocp.args.StandardRestore(shapes[1]),
+        )
+        structure = jax.tree.structure(state.optimizer)
+        leaves = [items["optimizer"][str(i)] for i in range(structure.num_leaves)]
+        restored = jax.tree.map(lambda x: x, state.weights)
+        nnx.replace_by_pure_dict(restored, items["weights"])
+        optimizer = jax.tree.unflatten(structure, leaves)
+        return epoch, state._replace(weights=restored, optimizer=optimizer)
+
+
+def _by_number(state: Any) -> dict[str, jax.Array]:
+    """The arrays of an optimizer's state, and how many they are: plain SGD has none, and Orbax
+    refuses to write nothing."""
+    leaves = jax.tree.leaves(state)
+    return {"num_leaves": jnp.int32(len(leaves))} | {str(i): x for i, x in enumerate(leaves)}
+
+
+def _write(folder: Path, arrays: Any, save: Callable[[], object]) -> None:
+    """Writes a checkpoint, or says why it cannot be written."""
+    # On a full disk Orbax fills the terminal with the failures of its threads. It writes arrays
+    # twice, and dozens of small files.
+    needed = 2 * sum(x.nbytes for x in jax.tree.leaves(arrays)) + 2**22
+    place = next(parent for parent in folder.parents if parent.exists())
+    if shutil.disk_usage(place).free < needed:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
+    try:
+        save()
+    except ValueError as error:  # what TensorStore makes of a failed write
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"checkpoint {str(folder)!r} cannot be written ({reason}); make room and start again"
+        ) from None
+
+
+def _restore(folder: Path, **items: Any) -> Any:
+    try:
+        for name, item in items.items():
+            if isinstance(item, ocp.args.StandardRestore):
+                _read_through(folder / name)
+        with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
+            return checkpointer.restore(folder, args=ocp.args.Composite(**items))
+    except Exception as error:  # a damaged folder raises nearly anything
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"checkpoint {str(folder)!r} is damaged or no checkpoint ({reason}); "
+            "train again, or copy it anew"
+        ) from None
+
+
+def _read_through(folder: Path) -> None:
+    """Raises where an array's bytes cannot be read.
+
+    Orbax reads all arrays at once; when one fails it leaves, and what the others then report
+    reaches nobody but the terminal.
+    """
+    store = tensorstore.KvStore.open({"driver": "ocdbt", "base": folder.as_uri()}).result()
+    for key in store.list().result():
+        store.read(key).result()
