@@ -6,6 +6,7 @@ from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import Checker, EdgeChecks, boxes_clear, make_checker
 from gnnjax.errors import InputError
 from gnnjax.guide.motion import MotionNetwork
+from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.planning.guided import GuidedPlanner
 from gnnjax.planning.planner import Planner, load_planner
@@ -18,9 +19,9 @@ from gnnjax.problems.problem import (
     sample_problem,
     save_problems,
 )
-from gnnjax.roadmap.graph import Roadmap, connect, default_radius, graphs_tuple, sample_roadmap
+from gnnjax.roadmap.graph import Roadmap, connect, default_radius
 from gnnjax.roadmap.paths import Labels, cost_to_go, edge_validity, label_roadmap
-from gnnjax.roadmap.sampling import Samples, sample_free
+from gnnjax.roadmap.sampled import Samples, sample_free, sample_roadmap
 from gnnjax.scene.scene import (
     Scene,
     make_scene,
@@ -29,7 +30,9 @@ from gnnjax.scene.scene import (
     scene_from_json,
     scene_to_json,
 )
-from gnnjax.search.lazy import Scorer, SearchResult, greedy_search, lazy_search
+from gnnjax.search.greedy import Scorer, greedy_search
+from gnnjax.search.knowledge import SearchResult
+from gnnjax.search.lazy import lazy_search
 from gnnjax.training.checkpoint import load_network, save_network
 
 __all__ = [

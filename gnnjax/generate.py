@@ -36,8 +36,9 @@ from gnnjax.problems.problem import (
     save_problems,
     save_shard,
 )
-from gnnjax.roadmap.graph import Roadmap, default_radius, sample_roadmap
+from gnnjax.roadmap.graph import Roadmap, default_radius
 from gnnjax.roadmap.paths import Labels, edge_validity, label_roadmap
+from gnnjax.roadmap.sampled import sample_roadmap
 from gnnjax.scene.scene import BOX_BUCKETS
 
 Split = Literal["train", "validation", "test"]

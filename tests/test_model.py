@@ -12,9 +12,10 @@ from scipy.ndimage import correlate
 from scipy.spatial.transform import Rotation
 
 from gnnjax.errors import InputError
+from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.paper.occupancy import HalvingConv, occupancy_grid
-from gnnjax.roadmap.graph import Roadmap, graphs_tuple
+from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

@@ -10,7 +10,8 @@ from flax import nnx
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.guide.motion import SPACING, MotionNetwork, Prices, make_prices
+from gnnjax.guide.guide import Prices
+from gnnjax.guide.motion import SPACING, MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
 from gnnjax.planning.planner import load_planner
 from gnnjax.scene.scene import make_scene

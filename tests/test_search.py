@@ -12,22 +12,19 @@ from scipy.sparse.csgraph import dijkstra
 
 from gnnjax.collision.checker import EdgeChecks
 from gnnjax.paper.network import GuidanceNetwork
-from gnnjax.roadmap.graph import connect
+from gnnjax.paper.strategy import network_scorer
+from gnnjax.roadmap.graph import GOAL, connect
 from gnnjax.roadmap.paths import edge_validity, label_roadmap
 from gnnjax.scene.scene import make_scene
-from gnnjax.search.lazy import (
-    GOAL,
-    INVALID,
-    UNKNOWN,
-    VALID,
+from gnnjax.search.greedy import (
     distance_scorer,
     greedy_search,
     greedy_search_on_host,
-    lazy_search,
-    network_scorer,
     oracle_scorer,
     static_scorer,
 )
+from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID
+from gnnjax.search.lazy import lazy_search
 
 
 def check_edges(starts, ends):

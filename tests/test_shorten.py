@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from gnnjax.collision.checker import EdgeChecks
-from gnnjax.search.lazy import GOAL, INVALID
+from gnnjax.roadmap.graph import GOAL
+from gnnjax.search.knowledge import INVALID
 from gnnjax.search.shorten import path_roadmap, search_shortened, shortened, spread_evenly
 
 NUM = 12

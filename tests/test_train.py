@@ -19,12 +19,12 @@ import gnnjax.train
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, from_problem_set, generate
+from gnnjax.paper.graphs import edge_bucket
 from gnnjax.paper.losses import graph_losses, step_targets, walk_losses
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.planning.planner import load_planner
 from gnnjax.problems.problem import load_problems
-from gnnjax.roadmap.graph import edge_bucket
-from gnnjax.search.lazy import GOAL
+from gnnjax.roadmap.graph import GOAL
 from gnnjax.train import LOSS_OPTIONS, PRESETS, TrainState, make_optimizer, parse, train
 from gnnjax.training.checkpoint import (
     TrainingCheckpoints,

@@ -12,19 +12,18 @@ tells every node what the way to the goal is likely to cost.
 
 import inspect
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float
 
+from gnnjax.guide.guide import Prices
 from gnnjax.guide.view import ArmView
 
 SPACING = 0.5  # rad (or m); pieces of a motion are no longer than this where they are looked at
 
-# rad a nat: what an edge costs more for each nat by which it is unlikely to be free.
-RISK_WEIGHT = 1.0
 
 _SCALES = (0.05, 0.2)  # m; distances are read at two scales
 _JOINT_SCALE = 0.3  # m a rad; how far the arm's distance to itself changes
@@ -83,14 +82,6 @@ def _features(
     return jnp.concatenate(
         [near + far, jnp.abs(near - far), scaled(least), travel, length], axis=-1
     )
-
-
-class Prices(NamedTuple):
-    """What the network says of one scene, in nats: 0 for surely free, large for surely not."""
-
-    nodes: Callable[[jax.Array], jax.Array]  # `[B D] -> [B]`
-    # `(starts [E D], ends [E D], most pieces) -> [E]`; longer motions get longer pieces.
-    motions: Callable[[jax.Array, jax.Array, int], jax.Array]
 
 
 def make_prices(

@@ -9,10 +9,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.generate import LabelledRoadmap
 from gnnjax.paper.encoding import Encoding
+from gnnjax.paper.graphs import edge_bucket
 from gnnjax.paper.network import GuidanceNetwork
-from gnnjax.roadmap.graph import edge_bucket
+from gnnjax.roadmap.graph import GOAL, START
 from gnnjax.scene.scene import Scene
-from gnnjax.search.lazy import GOAL, START
 
 
 def step_targets(

@@ -34,12 +34,12 @@ from gnnjax.paper.encoding import (
     empty_path,
     remember,
 )
+from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.paper.occupancy import HalvingConv, occupancy_grid
 from gnnjax.paper.validity import ValidityHead, cost_through
-from gnnjax.roadmap.graph import Roadmap, graphs_tuple
+from gnnjax.roadmap.graph import GOAL, Roadmap
 from gnnjax.scene.scene import Scene
 
-GOAL = 1  # node index of the goal in every roadmap
 Part = Literal["gat", "gcn", "grid", "path", "attention"]  # what a network can do without
 Graph = Any  # jraph.GraphsTuple, whose fields are typed too widely for a type checker to be of use
 

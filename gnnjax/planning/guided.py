@@ -17,7 +17,8 @@ from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import EDGE_RESOLUTION, EdgeChecks, make_checker
 from gnnjax.devices import cache_compilations, over_problems
 from gnnjax.errors import InputError, check_seed
-from gnnjax.guide.motion import MotionNetwork, Prices, make_prices
+from gnnjax.guide.guide import Prices
+from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import arm_view
 from gnnjax.planning.query import (
     Plan,
@@ -28,7 +29,8 @@ from gnnjax.planning.query import (
     path_length,
 )
 from gnnjax.problems.problem import Problem
-from gnnjax.roadmap.graph import Roadmap, SampledRoadmap, default_radius, sample_roadmap
+from gnnjax.roadmap.graph import GOAL, Roadmap, default_radius
+from gnnjax.roadmap.sampled import SampledRoadmap, sample_roadmap
 from gnnjax.roadmap.stored import NUM_LOCAL, add_local_nodes, insert_ends, stored_roadmap
 from gnnjax.scene.scene import Scene, is_axis_aligned
 from gnnjax.search.guided import (
@@ -40,7 +42,7 @@ from gnnjax.search.guided import (
     search_guided,
     shorten_guided,
 )
-from gnnjax.search.lazy import GOAL, INVALID
+from gnnjax.search.knowledge import INVALID
 from gnnjax.search.shorten import NUM_POINTS
 
 # nats; a roadmap whose best path is less likely to be free than e^-this waits until all others

@@ -20,31 +20,20 @@ from gnnjax.devices import cache_compilations, over_problems
 from gnnjax.errors import InputError, check_seed
 from gnnjax.guide.motion import MotionNetwork
 from gnnjax.guide.view import point_distances
+from gnnjax.paper.graphs import edge_bucket
 from gnnjax.paper.network import GuidanceNetwork
+from gnnjax.paper.strategy import network_scorer
 from gnnjax.paper.validity import edge_price
 from gnnjax.planning.guided import GuidedPlanner
 from gnnjax.planning.query import Plan, check_limits, check_planner, check_query, make_plan
 from gnnjax.problems.problem import Problem
-from gnnjax.roadmap.graph import (
-    Roadmap,
-    SampledRoadmap,
-    default_radius,
-    edge_bucket,
-    sample_roadmap,
-)
-from gnnjax.roadmap.paths import cost_to_go, edge_validity, next_slots
+from gnnjax.roadmap.graph import Roadmap, default_radius
+from gnnjax.roadmap.paths import cost_to_go, edge_validity, follow, next_slots
+from gnnjax.roadmap.sampled import SampledRoadmap, sample_roadmap
 from gnnjax.scene.scene import Scene, is_axis_aligned
-from gnnjax.search.lazy import (
-    INVALID,
-    VALID,
-    SearchResult,
-    distance_scorer,
-    follow,
-    greedy_search,
-    lazy_search,
-    network_scorer,
-    oracle_scorer,
-)
+from gnnjax.search.greedy import distance_scorer, greedy_search, oracle_scorer
+from gnnjax.search.knowledge import INVALID, VALID, SearchResult
+from gnnjax.search.lazy import lazy_search
 from gnnjax.training.checkpoint import default_weights, load_network
 
 Method = Literal["guided", "gnn", "gnn_lazy", "distance", "oracle", "prm", "lazysp"]

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, atomic_write
-from gnnjax.roadmap.sampling import sample_free
+from gnnjax.roadmap.sampled import sample_free
 from gnnjax.scene.scene import MOST_METERS, Scene, box_bucket, pad_scene, sample_scene, unit_quats
 
 MANIFEST = "manifest.json"  # of a folder of shards

@@ -6,15 +6,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import jraph
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
-from gnnjax.roadmap.sampling import sample_free
 
 # Padded numbers of nodes; one compilation each.
 NODE_BUCKETS = (200, 400, 600, 800, 1000, 1500, 2000, 3000, 5000)
+
+
+START, GOAL = 0, 1  # nodes of every roadmap
 
 
 class Roadmap(NamedTuple):
@@ -140,48 +141,6 @@ def connect_where(
     )
 
 
-class SampledRoadmap(NamedTuple):
-    """A roadmap and what sampling its nodes cost."""
-
-    roadmap: Roadmap
-    num_checks: Int[Array, "*batch"]  # configurations tested, start and goal apart
-
-
-def sample_roadmap(
-    key: jax.Array,
-    check_configurations: Callable[[jax.Array], jax.Array],
-    robot: Robot,
-    start: Float[Array, " D"],
-    goal: Float[Array, " D"],
-    *,
-    num_nodes: int,
-    radius: float,
-) -> SampledRoadmap:
-    """Samples free configurations uniformly and connects them with the start and the goal.
-
-    Args:
-        key: randomness.
-        check_configurations: `[B D] -> [B]`, true where valid.
-        robot: the arm, for its joint limits.
-        start: node 0.
-        goal: node 1.
-        num_nodes: nodes, start and goal included; arrays are padded to `node_bucket(num_nodes)`.
-        radius: largest length of an edge, configuration units.
-    """
-    padded = node_bucket(num_nodes)
-    samples = sample_free(
-        key,
-        check_configurations,
-        robot.joint_lower,
-        robot.joint_upper,
-        padded - 2,
-        wanted=num_nodes - 2,
-    )
-    nodes = jnp.concatenate([jnp.stack([start, goal]), samples.nodes])
-    mask = jnp.concatenate([jnp.ones(2, bool), samples.mask])
-    return SampledRoadmap(connect(nodes, mask, radius, default_slots(padded)), samples.num_checks)
-
-
 def reverse_slots(roadmap: Roadmap) -> Int[Array, "N K"]:
     """For each slot, the flat index (node * K + slot) of the same edge seen from its other end."""
     num, num_slots = roadmap.neighbors.shape
@@ -190,42 +149,3 @@ def reverse_slots(roadmap: Roadmap) -> Int[Array, "N K"]:
     slot = jnp.broadcast_to(jnp.arange(num_slots), roadmap.neighbors.shape)
     table = jnp.zeros((num, num), jnp.int32).at[own, roadmap.neighbors].set(slot)
     return roadmap.neighbors * num_slots + table[roadmap.neighbors, own]
-
-
-def edge_bucket(num_nodes: int) -> int:
-    """The padded number of directed edges of a roadmap with the default mean degree.
-
-    Half as many again as expected, then up to a multiple of 1024.
-    """
-    padded = node_bucket(num_nodes)
-    return 1024 * int(np.ceil(1.5 * padded * default_mean_degree(padded) / 1024))
-
-
-def graphs_tuple(roadmap: Roadmap, max_edges: int) -> jraph.GraphsTuple:
-    """The roadmap as a jraph graph, padded the way jraph does it.
-
-    The first graph holds the N nodes and the directed edges, in the order of the slots, each from a
-    neighbour (sender) to the slot's owner (receiver). The second holds one dummy node, N, and the
-    padding edges on it.
-
-    Args:
-        roadmap: one roadmap.
-        max_edges: size of the edge arrays; edges beyond it would be lost, so it must be enough.
-    """
-    num, num_slots = roadmap.neighbors.shape
-    flat = roadmap.neighbor_mask.reshape(-1)
-    (slot,) = jnp.nonzero(flat, size=max_edges, fill_value=-1)
-    real = slot >= 0
-    receivers = jnp.where(real, slot // num_slots, num).astype(jnp.int32)
-    senders = jnp.where(real, roadmap.neighbors.reshape(-1)[slot], num).astype(jnp.int32)
-    lengths = jnp.where(real, roadmap.lengths.reshape(-1)[slot], 0.0)
-    num_edges = real.sum()
-    return jraph.GraphsTuple(
-        nodes=jnp.concatenate([roadmap.nodes, jnp.zeros_like(roadmap.nodes[:1])]),
-        edges=lengths[:, None],
-        senders=senders,
-        receivers=receivers,
-        globals=None,
-        n_node=jnp.array([num, 1]),
-        n_edge=jnp.stack([num_edges, max_edges - num_edges]),
-    )

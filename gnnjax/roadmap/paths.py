@@ -1,4 +1,4 @@
-"""Exact labels of a roadmap: which edges are valid, and how far every node is from the goal."""
+"""Cheapest ways in a roadmap, and what holds of all of its edges."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.collision.checker import EdgeChecks
-from gnnjax.roadmap.graph import Roadmap, reverse_slots
+from gnnjax.roadmap.graph import GOAL, START, Roadmap, reverse_slots
 
 _EDGES_A_BLOCK = 1024  # bounds the memory of labelling whatever the roadmap's size
 
@@ -101,7 +101,7 @@ def for_each_edge(
 def cost_to_go(
     roadmap: Roadmap,
     edge_cost: Float[Array, "N K"],
-    goal: int | Int[Array, ""] = 1,
+    goal: int | Int[Array, ""] = GOAL,
     start: int | Int[Array, ""] | None = None,
 ) -> Float[Array, " N"]:
     """Cost of the cheapest way from every node to the goal, by Bellman-Ford sweeps.
@@ -148,5 +148,24 @@ def label_roadmap(roadmap: Roadmap, edge_valid: Bool[Array, "N K"]) -> Labels:
     cost = cost_to_go(roadmap, edge_cost)
     slots = next_slots(roadmap, edge_cost, cost)
     following = jnp.take_along_axis(roadmap.neighbors, slots[:, None], axis=1)[:, 0]
-    reachable = jnp.isfinite(cost) & (jnp.arange(len(cost)) != 1)
+    reachable = jnp.isfinite(cost) & (jnp.arange(len(cost)) != GOAL)
     return Labels(edge_valid, cost, jnp.where(reachable, following, -1))
+
+
+def follow(roadmap: Roadmap, slots: Int[Array, " N"], cost: Float[Array, " N"]) -> Int[Array, " N"]:
+    """The nodes met on the way from the start to the goal along `slots`; -1 after the last.
+
+    Only the start if the goal's cost-to-go there is infinite.
+    """
+    path = jnp.full(len(slots), -1, jnp.int32).at[0].set(START)
+
+    def walking(state):
+        node, steps, _ = state
+        return (node != GOAL) & jnp.isfinite(cost[START]) & (steps < len(slots))
+
+    def step(state):
+        node, steps, path = state
+        node = roadmap.neighbors[node, slots[node]]
+        return node, steps + 1, path.at[steps].set(node)
+
+    return jax.lax.while_loop(walking, step, (jnp.int32(START), jnp.int32(1), path))[2]

@@ -14,10 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.collision.checker import EdgeChecks
-from gnnjax.guide.motion import RISK_WEIGHT, Prices
-from gnnjax.roadmap.graph import Roadmap
+from gnnjax.guide.guide import RISK_WEIGHT, Prices
+from gnnjax.roadmap.graph import GOAL, Roadmap
 from gnnjax.roadmap.paths import for_each_edge
-from gnnjax.search.lazy import GOAL, SearchResult, lazy_search
+from gnnjax.search.knowledge import SearchResult
+from gnnjax.search.lazy import lazy_search
 from gnnjax.search.shorten import NUM_POINTS, search_shortened, shortened, spread_evenly
 
 # Most pieces that a motion is looked at in; the longest edge is that from start to goal.

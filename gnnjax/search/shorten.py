@@ -13,9 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.collision.checker import EdgeChecks
-from gnnjax.roadmap.graph import Roadmap
-from gnnjax.roadmap.paths import cost_to_go, next_slots
-from gnnjax.search.lazy import GOAL, START, SearchResult, follow, lazy_search
+from gnnjax.roadmap.graph import GOAL, START, Roadmap
+from gnnjax.roadmap.paths import cost_to_go, follow, next_slots
+from gnnjax.search.knowledge import SearchResult
+from gnnjax.search.lazy import lazy_search
 
 NUM_POINTS = 20  # along a path
 _ROUNDS = 2  # of shortening; the third gains nothing (docs/experiments.md)

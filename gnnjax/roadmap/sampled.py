@@ -1,4 +1,4 @@
-"""Free configurations, drawn uniformly by rejection."""
+"""Roadmaps of free configurations, drawn uniformly by rejection."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,6 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+
+from gnnjax.arm.robot import Robot
+from gnnjax.roadmap.graph import Roadmap, connect, default_slots, node_bucket
 
 
 class Samples(NamedTuple):
@@ -64,3 +67,45 @@ def sample_free(
         unfinished, draw_block, (zero, zero, zero, nodes)
     )
     return Samples(nodes, jnp.arange(num) < count, num_checks)
+
+
+class SampledRoadmap(NamedTuple):
+    """A roadmap and what sampling its nodes cost."""
+
+    roadmap: Roadmap
+    num_checks: Int[Array, "*batch"]  # configurations tested, start and goal apart
+
+
+def sample_roadmap(
+    key: jax.Array,
+    check_configurations: Callable[[jax.Array], jax.Array],
+    robot: Robot,
+    start: Float[Array, " D"],
+    goal: Float[Array, " D"],
+    *,
+    num_nodes: int,
+    radius: float,
+) -> SampledRoadmap:
+    """Samples free configurations uniformly and connects them with the start and the goal.
+
+    Args:
+        key: randomness.
+        check_configurations: `[B D] -> [B]`, true where valid.
+        robot: the arm, for its joint limits.
+        start: node 0.
+        goal: node 1.
+        num_nodes: nodes, start and goal included; arrays are padded to `node_bucket(num_nodes)`.
+        radius: largest length of an edge, configuration units.
+    """
+    padded = node_bucket(num_nodes)
+    samples = sample_free(
+        key,
+        check_configurations,
+        robot.joint_lower,
+        robot.joint_upper,
+        padded - 2,
+        wanted=num_nodes - 2,
+    )
+    nodes = jnp.concatenate([jnp.stack([start, goal]), samples.nodes])
+    mask = jnp.concatenate([jnp.ones(2, bool), samples.mask])
+    return SampledRoadmap(connect(nodes, mask, radius, default_slots(padded)), samples.num_checks)
