@@ -6,6 +6,7 @@ from typing import Any
 
 from gnnjax.evaluate import EvaluateConfig
 
+OURS = ("guided", "gnn", "gnn_lazy", "distance", "oracle", "prm", "lazysp")
 CLASSICAL = ("ompl:rrt_connect", "ompl:bit_star", "ompl:rrt_star", "ompl:prm")
 
 # Names that are no planner's own: the planner behind them, and its options.

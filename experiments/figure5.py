@@ -15,23 +15,22 @@ see `bounds.py`.
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
 from experiments.bounds import first_roadmap, per_verification
-from experiments.cases import CLASSICAL, GUIDED, classical_case, own_case
+from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, own_case
 from experiments.measure import ExperimentConfig, measure, problem_sets, run_seed, save_results
 from experiments.style import BAND, COLORS, label
 from gnnjax.errors import atomic_write, run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planning.planner import Method
 
 CLAIM = "A learned guide finds paths with fewer collision checks than PRM, RRT* and BIT* in R^7."
 
-PLANNERS = tuple(dict.fromkeys((*GUIDED, *get_args(Method), "gnn_paper")))
+PLANNERS = tuple(dict.fromkeys((*GUIDED, *OURS, "gnn_paper")))
 # On the same roadmaps: how many edges they check for each edge of the path.
 BOUNDED = ("guided_sampled", "gnn_lazy", "lazysp", "gnn", "distance", "oracle")
 

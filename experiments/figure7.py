@@ -11,17 +11,16 @@ out: LazySP, a greedy walk by the distance to the goal, and RRT-Connect.
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import tyro
 from matplotlib.figure import Figure
 
-from experiments.cases import CLASSICAL, classical_case, own_case
+from experiments.cases import CLASSICAL, OURS, classical_case, own_case
 from experiments.measure import ExperimentConfig, measure, problem_set, save_results
 from experiments.style import COLORS, draw_bars
 from gnnjax.errors import InputError, atomic_write, run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planning.planner import Method
 from gnnjax.training.checkpoint import find_weights
 
 CLAIM = "A guide trained in R^7 saves collision checks and planning time in R^6."
@@ -64,7 +63,7 @@ def cases(config: Figure7Config) -> dict[str, EvaluateConfig]:
         case = own_case(problems, robot, planner, config.num_nodes, num)
         return case if weights is None else dataclasses.replace(case, weights=weights)
 
-    named = {planner: own(planner) for planner in (*get_args(Method), "gnn_paper")}
+    named = {planner: own(planner) for planner in (*OURS, "gnn_paper")}
     named |= {planner: own(planner, TRANSFERRED) for planner in GUIDANCE_METHODS}
     try:
         find_weights(config.weights)

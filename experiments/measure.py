@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError, atomic_write
-from gnnjax.evaluate import QUANTITIES, EvaluateConfig, describe_machine, evaluate, make_planner
+from gnnjax.evaluate import QUANTITIES, EvaluateConfig, describe_machine, evaluate
 from gnnjax.generate import GenerateConfig, generate
+from gnnjax.planning.planner import make_planner
 
 # Of the files in `results/`; raised when what they hold changes its meaning.
 FORMAT = 1
@@ -101,7 +103,7 @@ def run_seed(case: EvaluateConfig, seed: int, runs: Path) -> dict[str, Any]:
 @functools.cache
 def _planner(settings: EvaluateConfig) -> Any:
     """One planner for all seeds and sets, so that it is compiled once."""
-    return make_planner(settings)
+    return make_planner(load_robot(settings.robot), settings)
 
 
 def slug(case: EvaluateConfig) -> str:

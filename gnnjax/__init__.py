@@ -5,12 +5,14 @@ from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import Checker, EdgeChecks, boxes_clear, make_checker
 from gnnjax.errors import InputError
+from gnnjax.guide.guide import Guide, Prices
 from gnnjax.guide.motion import MotionNetwork
 from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.paper.network import GuidanceNetwork
-from gnnjax.planning.guided import GuidedPlanner
-from gnnjax.planning.planner import Planner, load_planner
+from gnnjax.planning.options import PLANNERS, PlannerOptions
+from gnnjax.planning.planner import Planner, load_planner, make_planner
 from gnnjax.planning.query import Plan
+from gnnjax.planning.strategy import Strategy
 from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
 from gnnjax.problems.problem import (
     Problem,
@@ -36,16 +38,19 @@ from gnnjax.search.lazy import lazy_search
 from gnnjax.training.checkpoint import load_network, save_network
 
 __all__ = [
+    "PLANNERS",
     "Checker",
     "EdgeChecks",
     "FamilyProblem",
     "GuidanceNetwork",
-    "GuidedPlanner",
+    "Guide",
     "InputError",
     "Labels",
     "MotionNetwork",
     "Plan",
     "Planner",
+    "PlannerOptions",
+    "Prices",
     "Problem",
     "ProblemSet",
     "Roadmap",
@@ -54,6 +59,7 @@ __all__ = [
     "Scene",
     "Scorer",
     "SearchResult",
+    "Strategy",
     "boxes_clear",
     "certify_edges",
     "certify_path",
@@ -71,6 +77,7 @@ __all__ = [
     "load_problems",
     "load_robot",
     "make_checker",
+    "make_planner",
     "make_scene",
     "pad_scene",
     "sample_family_problem",

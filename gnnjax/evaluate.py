@@ -16,7 +16,7 @@ import os
 import platform
 import time
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,18 +26,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gnnjax.baselines.ompl import ClassicalMethod, ClassicalPlanner, ompl_version
-from gnnjax.collision.checker import EDGE_RESOLUTION, Backend, make_checker
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.checker import make_checker
 from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
-from gnnjax.planning.guided import GuidedPlanner
-from gnnjax.planning.planner import (
-    DEFAULT_MAX_ROADMAPS,
-    Method,
-    Planner,
-    check_guided_options,
-    load_planner,
-)
-from gnnjax.planning.query import Plan
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.planner import make_planner
+from gnnjax.planning.query import Plan, QueryPlanner, check_query
 from gnnjax.problems.problem import Problem, ProblemSet, load_problems
 from gnnjax.scene.scene import is_axis_aligned
 
@@ -58,8 +52,8 @@ QUANTITIES = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class EvaluateConfig:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EvaluateConfig(PlannerOptions):
     """Plan every problem of a set and write results and a summary as JSON."""
 
     problems: Path
@@ -68,47 +62,23 @@ class EvaluateConfig:
     """Where results go; goes on with what is there if it has the same settings."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
-    planner: str = "guided"
-    """How roadmaps are searched: guided, gnn, gnn_lazy, distance, oracle, prm or lazysp; or a
-    planner of OMPL (docs/ompl.md), such as ompl:rrt_connect, which needs the experiments extra."""
-    num_nodes: int = 200
-    """Nodes of a roadmap."""
-    max_roadmaps: int = DEFAULT_MAX_ROADMAPS
-    """Roadmaps to try before giving up; 1 is the paper's algorithm."""
     num_problems: int | None = None
     """Only the first so many problems."""
     batch_size: int = 1
     """Problems planned at once. With 1, times are those of single queries; with more, the shares of
     each problem in its batch."""
-    weights: Path | None = None
-    """Checkpoint of the network, or name of shipped weights; by default those for the robot."""
-    checker: Backend | Literal["mujoco"] = "fused"
-    """Collision backend; mujoco, MuJoCo's C engine, is for the planners of OMPL."""
-    resolution: float = EDGE_RESOLUTION
-    """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
     time_limit: float = 5.0
     """Seconds a problem may take; a path that comes later is a failure."""
-    simplify: bool = False
-    """Let OMPL simplify the path that its planner found; not for our own planners."""
-    shorten: bool = True
-    """Shorten paths before they are checked; for guided alone."""
-    sampled: bool = False
-    """Search roadmaps of checked nodes, drawn for each query like those of the other planners of
-    roadmaps; for guided alone."""
     seed: int = 0
     """Of the roadmaps, or of OMPL's random numbers."""
 
 
-# What `make_planner` makes.
-AnyPlanner: TypeAlias = Planner | GuidedPlanner | ClassicalPlanner
-
-
-def evaluate(config: EvaluateConfig, planner: AnyPlanner | None = None) -> dict[str, Any]:
+def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dict[str, Any]:
     """Plans what is missing of a set's results, and returns them all as they are in the file.
 
     Args:
         config: what to plan, and how.
-        planner: from `make_planner`, for callers that evaluate several sets or seeds with one.
+        planner: of these options, for callers that evaluate several sets or seeds with one.
     """
     if config.batch_size < 1 or (config.num_problems is not None and config.num_problems < 1):
         raise InputError(
@@ -117,7 +87,7 @@ def evaluate(config: EvaluateConfig, planner: AnyPlanner | None = None) -> dict[
         )
     check_seed(config.seed)
     check_target(config.json)
-    planner = planner or make_planner(config)
+    planner = planner or make_planner(load_robot(config.robot), config)
     problems = load_problems(config.problems, planner.robot).take(slice(config.num_problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     del settings["json"]
@@ -126,7 +96,7 @@ def evaluate(config: EvaluateConfig, planner: AnyPlanner | None = None) -> dict[
         "format": FORMAT,
         "complete": False,
         "settings": settings,
-        "machine": describe_machine() | ({"ompl": ompl_version()} if _is_classical(config) else {}),
+        "machine": describe_machine() | _ompl(config),
         "summary": {},
         "problems": _earlier_results(config.json, settings),
     }
@@ -139,50 +109,19 @@ def evaluate(config: EvaluateConfig, planner: AnyPlanner | None = None) -> dict[
     return results
 
 
-def _is_classical(config: EvaluateConfig) -> bool:
-    return config.planner in get_args(ClassicalMethod)
-
-
-def make_planner(config: EvaluateConfig) -> AnyPlanner:
-    """The planner that a configuration names."""
-    known = [*get_args(Method), *get_args(ClassicalMethod)]
-    if config.planner not in known:
-        raise InputError(f"no planner {config.planner!r}; there are {known}")
-    limits = {"resolution": config.resolution, "time_limit": config.time_limit}
-    guided = {"shorten": config.shorten, "sampled": config.sampled}
-    check_guided_options(config.planner, **guided)
-    if _is_classical(config):
-        own = {"checker": config.checker, "simplify": config.simplify}
-        return ClassicalPlanner(config.robot, config.planner, **own, **limits)
-    if config.simplify:
-        raise InputError(
-            f"simplify with planner {config.planner!r}; it is for OMPL's planners, leave it out"
-        )
-    if config.checker == "mujoco":
-        raise InputError(
-            f"checker 'mujoco' with planner {config.planner!r}; it is for OMPL's planners, choose "
-            f"one of {list(get_args(Backend))}"
-        )
-    return load_planner(
-        config.robot,
-        config.planner,
-        num_nodes=config.num_nodes,
-        max_roadmaps=config.max_roadmaps,
-        weights=config.weights,
-        checker=config.checker,
-        **guided,
-        **limits,
-    )
+def _ompl(config: EvaluateConfig) -> dict[str, str]:
+    """The version of OMPL, where it plans."""
+    return {"ompl": importlib.metadata.version("ompl")} if config.is_classical else {}
 
 
 def _plan_missing(
-    planner: AnyPlanner,
+    planner: QueryPlanner,
     problems: ProblemSet,
     results: dict[str, Any],
     config: EvaluateConfig,
 ) -> None:
     rows = results["problems"]
-    blocked = straight_line_blocked(planner, problems.problems)
+    blocked = straight_line_blocked(planner.robot, config.checker, problems.problems)
     num, size = len(problems), config.batch_size
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     with Progress(*columns, TimeRemainingColumn()) as progress:
@@ -196,11 +135,11 @@ def _plan_missing(
                 start, goal, scene = jax.tree.map(lambda x, i=i: x[i], problems.problems)
                 if not checked:  # the first time compiles
                     with contextlib.suppress(InputError):
-                        planner.check_query(scene, start, goal)
+                        check_query(planner.robot, scene, start, goal)
                     checked = True
                 begin = time.perf_counter()
                 try:
-                    planner.check_query(scene, start, goal)
+                    check_query(planner.robot, scene, start, goal)
                 except InputError as error:
                     reasons[i] = str(error)
                 checking[i] = time.perf_counter() - begin
@@ -211,8 +150,7 @@ def _plan_missing(
                 padded = np.array((valid + [valid[0]] * size)[:size])
                 queries = jax.tree.map(lambda x, at=padded: x[at], problems.problems)
                 if not warm:
-                    if isinstance(planner, GuidedPlanner):
-                        planner.warm_up(queries)
+                    planner.warm_up(queries)
                     planner.plan_batch(queries, seed=config.seed)
                     warm = True
                 made = planner.plan_batch(queries, seed=config.seed)
@@ -258,12 +196,12 @@ def _within(row: dict, time_limit: float) -> dict:
     return row | late
 
 
-def straight_line_blocked(planner: AnyPlanner, problems: Problem) -> np.ndarray:
+def straight_line_blocked(robot: Robot, checker: str, problems: Problem) -> np.ndarray:
     """Tells for each problem whether the straight line from start to goal is blocked: the hard
     ones. That does not depend on the resolution a planner is asked for."""
-    checker = make_checker(
-        planner.robot,
-        "mjx" if planner.checker == "mjx" else "fused",
+    check = make_checker(
+        robot,
+        "mjx" if checker == "mjx" else "fused",
         axis_aligned=is_axis_aligned(problems.scene),
         max_boxes=problems.scene.mask.shape[-1],
     )
@@ -272,7 +210,7 @@ def straight_line_blocked(planner: AnyPlanner, problems: Problem) -> np.ndarray:
     def blocked(problems: Problem) -> jax.Array:
         def one(problem: Problem) -> jax.Array:
             ends = problem.start[None], problem.goal[None]
-            return ~checker.check_edges(problem.scene, *ends).valid[0]
+            return ~check.check_edges(problem.scene, *ends).valid[0]
 
         return jax.lax.map(one, problems)
 
@@ -385,7 +323,7 @@ def print_summary(results: dict[str, Any]) -> None:
     """Prints a summary as a table."""
     settings, summary = results["settings"], results["summary"]
     title = settings["planner"]
-    if title not in get_args(ClassicalMethod):
+    if not title.startswith("ompl:"):
         title += f", {settings['num_nodes']} nodes"
     for name, (value, words) in _VARIANTS.items():
         if settings[name] == value:

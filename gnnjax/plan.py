@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gnnjax.collision.checker import Backend
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError, atomic_write, check_target, run_command
-from gnnjax.planning.planner import DEFAULT_MAX_ROADMAPS, load_planner
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.planner import make_planner
 from gnnjax.scene.scene import scene_from_json
 
 
-@dataclasses.dataclass(frozen=True)
-class PlanConfig:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlanConfig(PlannerOptions):
     """Plan one query and write its path."""
 
     scene: Path
@@ -28,18 +29,6 @@ class PlanConfig:
     """Where the path goes: arrays path [L, D], scene boxes and counts."""
     image: Path | None = None
     """Where a picture of the path goes (needs the viz extra)."""
-    planner: str = "guided"
-    """How roadmaps are searched: guided, gnn, gnn_lazy, distance, oracle, prm or lazysp."""
-    shorten: bool = True
-    """Shorten the path before it is checked; for guided alone."""
-    num_nodes: int = 200
-    """Nodes of a roadmap."""
-    max_roadmaps: int = DEFAULT_MAX_ROADMAPS
-    """Roadmaps to try before giving up."""
-    weights: Path | None = None
-    """Checkpoint of the network, or name of shipped weights; by default those for the planner."""
-    checker: Backend = "fused"
-    """Collision backend."""
     seed: int = 0
     """Seed of the roadmaps."""
 
@@ -49,15 +38,7 @@ def main(config: PlanConfig) -> int:
     # All that can be refused is refused before planning, which may take a minute.
     check_target(config.out)
     scene = scene_from_json(config.scene)
-    planner = load_planner(
-        config.robot,
-        config.planner,
-        num_nodes=config.num_nodes,
-        max_roadmaps=config.max_roadmaps,
-        weights=config.weights,
-        shorten=config.shorten,
-        checker=config.checker,
-    )
+    planner = make_planner(load_robot(config.robot), config)
     draw = None
     if config.image is not None:
         try:

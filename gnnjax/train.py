@@ -32,6 +32,8 @@ from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled
 from gnnjax.guide.view import point_distances
 from gnnjax.paper.losses import graph_losses
 from gnnjax.paper.network import GuidanceNetwork, Part
+from gnnjax.paper.strategy import gnn
+from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
 from gnnjax.problems.problem import Problem, load_problems
 from gnnjax.training.checkpoint import TrainingCheckpoints, save_network
@@ -220,7 +222,8 @@ def train(config: TrainConfig) -> Path:
         rngs=nnx.Rngs(config.seed),
     )
     num_nodes = int(data.roadmap.node_mask.sum(axis=1).max())
-    planner = Planner(robot, "gnn", num_nodes, max_roadmaps=1, network=network)
+    options = PlannerOptions(planner="gnn", num_nodes=num_nodes, max_roadmaps=1)
+    planner = Planner(robot, gnn(robot, network, options), options)
     validation = None
     if config.validation_problems:
         keys = problem_keys(config.seed, "validation", 0, config.validation_problems)

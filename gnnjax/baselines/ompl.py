@@ -11,34 +11,21 @@ import importlib.metadata
 import itertools
 import time
 from collections.abc import Callable
-from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from numpy.typing import ArrayLike
 
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
 from gnnjax.baselines.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.collision.certify import certify_path
-from gnnjax.collision.checker import EDGE_RESOLUTION
 from gnnjax.devices import cache_compilations, run_where_called
 from gnnjax.errors import InputError
-from gnnjax.planning.query import Plan, check_limits, check_query
+from gnnjax.planning.options import PlannerOptions, check_options
+from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import Scene, is_axis_aligned
-
-ClassicalMethod: TypeAlias = Literal[
-    "ompl:rrt_connect",
-    "ompl:rrt_star",
-    "ompl:bit_star",
-    "ompl:prm",
-    "ompl:lazy_prm",
-    "ompl:ait_star",
-    "ompl:eit_star",
-]
-ClassicalChecker: TypeAlias = Literal["fused", "mujoco"]
+from gnnjax.scene.scene import is_axis_aligned
 
 _CLASSES = {
     "ompl:rrt_connect": "RRTConnect",
@@ -56,55 +43,36 @@ _CLOSING_S = 0.02
 
 
 class ClassicalPlanner:
-    """A planner of OMPL, with what `evaluate` uses of a `Planner`."""
+    """A planner of OMPL: a `QueryPlanner`, like ours."""
 
     radius = None  # there is no roadmap of ours
 
-    def __init__(
-        self,
-        robot: Robot | str | Path,
-        method: str = "ompl:rrt_connect",
-        *,
-        checker: str = "fused",
-        resolution: float = EDGE_RESOLUTION,
-        time_limit: float = 5.0,
-        simplify: bool = False,
-    ):
+    def __init__(self, robot: Robot, options: PlannerOptions):
         """Args:
-        robot: the arm, name of a shipped one, or path of an MJCF.
-        method: one of `ClassicalMethod`; which there are depends on the OMPL installed.
-        checker: "fused" (an edge is one call of a compiled kernel) or "mujoco" (each
-            configuration is one call of MuJoCo's C engine).
-        resolution: largest distance of neighbouring configurations along an edge, rad or m.
-        time_limit: seconds after which a query is given up.
-        simplify: whether OMPL's path simplifier goes over the path, in what is left of the time.
+        robot: the arm.
+        options: planner: which there are depends on the OMPL installed; checker: "fused" (an edge
+            is one call of a compiled kernel) or "mujoco" (each configuration is one call of
+            MuJoCo's C engine); time_limit: seconds after which a query is given up; simplify:
+            whether OMPL's path simplifier goes over the path, in what is left of the time.
         """
-        if method not in _CLASSES:
-            raise InputError(f"no planner {method!r}; there are {list(_CLASSES)}")
-        if checker not in get_args(ClassicalChecker):
-            raise InputError(
-                f"checker {checker!r} with planner {method!r}; OMPL's planners take "
-                f"{list(get_args(ClassicalChecker))}"
-            )
-        check_limits(resolution, time_limit)
+        check_options(options)
         self._ompl = _import_ompl()
-        if not hasattr(self._ompl.geometric, _CLASSES[method]):
+        if not hasattr(self._ompl.geometric, _CLASSES[options.planner]):
             raise InputError(
-                f"OMPL {ompl_version()} has no planner {method!r}; OMPL 1.7.0 has it, in a "
-                "virtual environment of its own (docs/ompl.md)"
+                f"OMPL {importlib.metadata.version('ompl')} has no planner {options.planner!r}; "
+                "OMPL 1.7.0 has it, in a virtual environment of its own (docs/ompl.md)"
             )
         cache_compilations()
         run_where_called()
-        self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
-        self.method, self.checker = method, checker
-        self.resolution, self.time_limit = resolution, time_limit
-        self.simplify = simplify
+        self.robot, self.options = robot, options
 
-    def check_query(
-        self, scene: Scene, start: ArrayLike, goal: ArrayLike
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Returns start and goal as arrays, or says what is wrong with the query."""
-        return check_query(self.robot, scene, start, goal)
+    def warm_up(self, problems: Problem) -> None:
+        """Compiles the checks."""
+        self._make_checks(problems)
+
+    def _make_checks(self, problems: Problem) -> Callable:
+        boxes = problems.scene.mask.shape[-1]
+        return self._checks_maker(is_axis_aligned(problems.scene), boxes)
 
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
         """Plans P problems one after the other.
@@ -117,8 +85,7 @@ class ClassicalPlanner:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of OMPL's random numbers; the same for each problem.
         """
-        boxes = problems.scene.mask.shape[-1]
-        make = self._checks_maker(is_axis_aligned(problems.scene), boxes)
+        make = self._make_checks(problems)
         each = (jax.tree.map(lambda x, i=i: x[i], problems) for i in range(len(problems.start)))
         return [self._plan(problem, make, seed) for problem in each]
 
@@ -132,7 +99,7 @@ class ClassicalPlanner:
         setting = _set_up(self, ledger, is_valid, test_edge, problem, seed)
         base, definition = self._ompl.base, setting.definition
         solving = time.perf_counter()
-        limit = self.time_limit - (solving - begin)
+        limit = self.options.time_limit - (solving - begin)
         setting.planner.solve(
             base.plannerOrTerminationCondition(
                 base.timedPlannerTerminationCondition(max(limit, 0.0)),
@@ -145,14 +112,14 @@ class ClassicalPlanner:
         if success:
             solution = definition.getSolutionPath()
             path = np.stack([setting.read(state) for state in _states(solution)])
-            if self.simplify:
-                ledger.deadline = begin + self.time_limit - _CLOSING_S
+            if self.options.simplify:
+                ledger.deadline = begin + self.options.time_limit - _CLOSING_S
                 path = self._simplified(setting, ledger, solution, path)
                 end = time.perf_counter()
-        asked = self.method not in _WITHOUT_EDGES
+        asked = self.options.planner not in _WITHOUT_EDGES
         return Plan(
             success=success,
-            reason="" if success else f"no path within {self.time_limit} s",
+            reason="" if success else f"no path within {self.options.time_limit} s",
             path=path,
             cost=float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) if success else np.inf,
             certified=success and certify_path(self.robot, problem.scene, path),
@@ -199,9 +166,9 @@ class ClassicalPlanner:
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
     def _checks_maker(self, axis_aligned: bool, max_boxes: int) -> Callable:
         """`(scene, ledger) -> (is_valid, test_edge)`, compiled for one padding of the scene."""
-        if self.checker == "mujoco":
+        if self.options.checker == "mujoco":
             return mujoco_checks(self.robot, max_boxes)
-        return fused_checks(self.robot, axis_aligned, max_boxes, self.resolution)
+        return fused_checks(self.robot, axis_aligned, max_boxes, self.options.resolution)
 
 
 class _Setting(NamedTuple):
@@ -245,7 +212,7 @@ def _set_up(
         bounds.setLow(i, float(robot.joint_lower[i]))
         bounds.setHigh(i, float(robot.joint_upper[i]))
     space.setBounds(bounds)
-    space.setLongestValidSegmentFraction(owner.resolution / space.getMaximumExtent())
+    space.setLongestValidSegmentFraction(owner.options.resolution / space.getMaximumExtent())
     information = base.SpaceInformation(space)
     joints = range(dof)
 
@@ -292,7 +259,7 @@ def _set_up(
     objective = base.PathLengthOptimizationObjective(information)
     objective.setCostThreshold(objective.infiniteCost())
     definition.setOptimizationObjective(objective)
-    planner = getattr(geometric, _CLASSES[owner.method])(information)
+    planner = getattr(geometric, _CLASSES[owner.options.planner])(information)
     planner.setProblemDefinition(definition)
     planner.setup()
     kept = (space, validity, discrete, motions, objective, *ends)
@@ -319,8 +286,3 @@ def _import_ompl() -> _Ompl:
             "OMPL is not installed; pip install 'gnnjax[experiments]' brings it"
         ) from None
     return _Ompl(base, geometric, util)
-
-
-def ompl_version() -> str:
-    """Version of the OMPL installed."""
-    return importlib.metadata.version("ompl")

@@ -1,7 +1,12 @@
-"""The contract of a guide: prices of motions that nobody has checked."""
+"""The contract of a guide: what prices motions that nobody has checked.
+
+A guide tells which motions are likely free, at no collision check. Searches take the way that is
+cheapest by length and price, and check only that. Any function of this form will do, see
+`examples/own_guide.py`.
+"""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 
@@ -10,8 +15,19 @@ RISK_WEIGHT = 1.0
 
 
 class Prices(NamedTuple):
-    """What the network says of one scene, in nats: 0 for surely free, large for surely not."""
+    """What a guide says of one scene, in nats: 0 for surely free, large for surely not.
+
+    Never negative, and the same for a motion and its reverse. Prices of the pieces of a motion add
+    up, like logarithms of probabilities.
+    """
 
     nodes: Callable[[jax.Array], jax.Array]  # `[B D] -> [B]`
     # `(starts [E D], ends [E D], most pieces) -> [E]`; longer motions get longer pieces.
     motions: Callable[[jax.Array, jax.Array, int], jax.Array]
+
+
+class Guide(NamedTuple):
+    """A guide for one arm. Weights are arguments, so that others need no compilation."""
+
+    weights: Any  # arrays
+    prices: Callable[[Any, Any], Prices]  # `(weights, Scene) -> Prices`, inside of jit

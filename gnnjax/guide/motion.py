@@ -10,6 +10,7 @@ Along a roadmap, prices become messages: one min-plus pass after the other (`lab
 tells every node what the way to the goal is likely to cost.
 """
 
+import functools
 import inspect
 from collections.abc import Callable
 from typing import Any
@@ -19,8 +20,10 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float
 
-from gnnjax.guide.guide import Prices
-from gnnjax.guide.view import ArmView
+from gnnjax.arm.robot import Robot
+from gnnjax.guide.guide import Guide, Prices
+from gnnjax.guide.view import ArmView, arm_view
+from gnnjax.scene.scene import Scene
 
 SPACING = 0.5  # rad (or m); pieces of a motion are no longer than this where they are looked at
 
@@ -114,3 +117,14 @@ def make_prices(
         return jnp.sum(price, axis=1, where=jnp.arange(most) < pieces[:, None])
 
     return Prices(nodes, motions)
+
+
+def motion_guide(robot: Robot, network: MotionNetwork) -> Guide:
+    """The motion network as a guide for an arm."""
+    graphdef, weights = nnx.split(network)
+    view = arm_view(robot, network.num_points)
+
+    def prices(weights: Any, scene: Scene) -> Prices:
+        return make_prices(nnx.merge(graphdef, weights), functools.partial(view, scene))
+
+    return Guide(weights, prices)

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import check_scene, configuration_clearance
-from gnnjax.collision.checker import Backend, boxes_clear
+from gnnjax.collision.checker import boxes_clear
 from gnnjax.errors import InputError
+from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene
 
 
@@ -31,6 +32,27 @@ class Plan(NamedTuple):
     planning_time_s: float  # from the roadmap to the path
     total_time_s: float  # from the query to the path
     roadmaps: int  # roadmaps sampled; 1 for planners that have none
+
+
+class QueryPlanner(Protocol):
+    """What a planner is to `evaluate`."""
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        ...
+
+    @property
+    def radius(self) -> float | None:
+        """Of the roadmaps, configuration units; None for a planner without."""
+        ...
+
+    def warm_up(self, problems: Problem) -> None:
+        """Compiles what planning P problems of these shapes may need."""
+
+    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
+        """Plans P problems that `check_query` accepts."""
+        ...
 
 
 def check_query(
@@ -102,25 +124,6 @@ def make_plan(path: np.ndarray | None, reason: str, num_dof: int, **costs: Any) 
         configuration_checks=costs["sampling_checks"] + costs["search_checks"],
         **costs,
     )
-
-
-def check_planner(checker: str, num_nodes: int, max_roadmaps: int) -> None:
-    """Refuses what no planner on roadmaps can work with."""
-    if checker not in get_args(Backend):
-        raise InputError(f"no checker {checker!r}; there are {list(get_args(Backend))}")
-    if num_nodes < 2:
-        raise InputError(f"num_nodes is {num_nodes}; a roadmap needs at least start and goal")
-    if max_roadmaps < 1:
-        raise InputError(f"max_roadmaps is {max_roadmaps}; it must be at least 1")
-
-
-def check_limits(resolution: float, time_limit: float) -> None:
-    """Refuses a resolution or a time limit that no planner could keep."""
-    # NaN fails both comparisons.
-    if not resolution >= 1e-3:
-        raise InputError(f"resolution is {resolution}; it must be at least 0.001 rad (or m)")
-    if not time_limit > 0:
-        raise InputError(f"time_limit is {time_limit}; it must be more than 0 s")
 
 
 @functools.cache

@@ -1,23 +1,20 @@
 """The parts of the guided search: price and search a roadmap, shorten a path and check it.
 
-The network's opinion costs no check. So the cheapest path in its eyes is found first, then
-shortened in its eyes, and only then checked. If that does not hold, the roadmap is searched lazily
-to the end: a path is found wherever the roadmap has one. `guided_planner.py` puts the parts
-together.
+The guide's opinion costs no check. So the cheapest path in its eyes is found first, then shortened
+in its eyes, and only then checked. If that does not hold, the roadmap is searched lazily to the
+end: a path is found wherever the roadmap has one. The strategy "guided" puts the parts together.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.collision.checker import EdgeChecks
 from gnnjax.guide.guide import RISK_WEIGHT, Prices
 from gnnjax.roadmap.graph import GOAL, Roadmap
 from gnnjax.roadmap.paths import for_each_edge
-from gnnjax.search.knowledge import SearchResult
+from gnnjax.search.knowledge import Found, Knowledge, found_by
 from gnnjax.search.lazy import lazy_search
 from gnnjax.search.shorten import NUM_POINTS, search_shortened, shortened, spread_evenly
 
@@ -26,32 +23,6 @@ _EDGE_PIECES, _SHORTCUT_PIECES, _ALL_PIECES = 16, 12, 8
 
 CheckEdge = Callable[[jax.Array, jax.Array], EdgeChecks]  # `(q_from [D], q_to [D])`, ends apart
 CheckNodes = Callable[[jax.Array], Bool[Array, " B"]]  # `[B D] -> [B]`, true where valid
-
-
-class Knowledge(NamedTuple):
-    """What is known of a roadmap; see `search.py`."""
-
-    status: Int8[Array, "*batch N K"]
-    node_status: Int8[Array, "*batch N"]
-
-
-class Found(NamedTuple):
-    """A path, and what finding it cost."""
-
-    success: Bool[Array, "*batch"]  # there is a path; checked, if it is short enough to be
-    waypoints: Float[Array, "*batch N D"]  # from start to goal; the goal again after the last
-    path: Int[Array, "*batch N"]  # nodes; -1 after the last
-    price: Float[Array, "*batch"]  # nats, of what is not checked; inf without a path
-    edge_checks: Int[Array, "*batch"]
-    configuration_checks: Int[Array, "*batch"]
-    points: Float[Array, "*batch V D"]  # spread along the path, see `shorten.py`
-
-
-def nothing_known(roadmap: Roadmap, *, nodes_checked: bool = False) -> Knowledge:
-    """What is known of a roadmap in the beginning."""
-    num = len(roadmap.nodes)
-    status = jnp.zeros(roadmap.neighbors.shape, jnp.int8)
-    return Knowledge(status, jnp.full(num, int(nodes_checked), jnp.int8))
 
 
 def search_guided(
@@ -97,7 +68,11 @@ def search_guided(
         max_price=RISK_WEIGHT * max_price,
     )
     assert found.node_status is not None
-    return _found(roadmap, found), Knowledge(found.edge_status, found.node_status)
+    points = spread_evenly(found.path, roadmap.nodes, NUM_POINTS)
+    return (
+        found_by(found, roadmap)._replace(points=points),
+        Knowledge(found.edge_status, found.node_status),
+    )
 
 
 def shorten_guided(
@@ -107,10 +82,10 @@ def shorten_guided(
     check_nodes: CheckNodes,
     status: Int8[Array, "V V"],
 ) -> tuple[Found, Int8[Array, "V V"]]:
-    """Shortens a path in the network's eyes, then checks it.
+    """Shortens a path in the guide's eyes, then checks it.
 
     Args:
-        points: spread along the path, from `Found`.
+        points: spread along the path, from `spread_evenly`.
         prices: of motions, nats.
         check_edge: tests an edge.
         check_nodes: tests nodes.
@@ -121,21 +96,8 @@ def shorten_guided(
     """
     roadmap, price = shortened(points, _motion_price(prices, _SHORTCUT_PIECES))
     found = search_shortened(roadmap, price, check_edge, check_nodes, status)
-    return _found(roadmap, found), found.edge_status
+    return found_by(found, roadmap), found.edge_status
 
 
 def _motion_price(prices: Prices, pieces: int) -> Callable[[jax.Array, jax.Array], jax.Array]:
     return lambda starts, ends: RISK_WEIGHT * prices.motions(starts, ends, pieces)
-
-
-def _found(roadmap: Roadmap, found: SearchResult) -> Found:
-    assert found.path_price is not None
-    return Found(
-        success=found.success,
-        waypoints=roadmap.nodes[jnp.where(found.path >= 0, found.path, GOAL)],
-        path=found.path,
-        price=found.path_price / RISK_WEIGHT,
-        edge_checks=found.edge_checks,
-        configuration_checks=found.configuration_checks,
-        points=spread_evenly(found.path, roadmap.nodes, NUM_POINTS),
-    )

@@ -11,7 +11,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,9 @@ Network: TypeAlias = GuidanceNetwork | MotionNetwork
 _KINDS: dict[str, type[Network]] = {
     kind.__name__: kind for kind in (GuidanceNetwork, MotionNetwork)
 }
+
+_LOADED_BY = {"GuidanceNetwork": "'gnn' and 'gnn_lazy'", "MotionNetwork": "'guided'"}
+_Kind = TypeVar("_Kind", bound=nnx.Module)
 
 # Of what is stored; raised when an older reader could no longer make sense of it.
 FORMAT = 1
@@ -49,15 +52,9 @@ def find_weights(weights: str | Path) -> Path:
     )
 
 
-def default_weights(robot: str, method: str) -> Path:
-    """The shipped weights for a robot and a planner.
-
-    The motion network of "guided" serves all arms. Of the guidance networks there are the robot's
-    own, or those of the Kuka, which serve other arms.
-    """
+def default_weights(robot: str) -> Path:
+    """The shipped guidance network for a robot: its own, or the Kuka's, which serves others."""
     shipped = Path(__file__).parents[1] / "weights"
-    if method == "guided":
-        return shipped / "motion"
     return shipped / (robot if (shipped / robot).is_dir() else "kuka_iiwa14")
 
 
@@ -149,6 +146,22 @@ def load_network(weights: str | Path) -> Network:
     weights = _restore(folder, weights=ocp.args.StandardRestore(target))["weights"]
     nnx.replace_by_pure_dict(shapes, weights)
     return nnx.merge(graphdef, shapes)
+
+
+def load_network_as(kind: type[_Kind], weights: str | Path, planner: str) -> _Kind:
+    """`load_network` for a planner that takes one kind of network.
+
+    Raises:
+        InputError: another kind; says which, and what loads it.
+    """
+    network = load_network(weights)
+    if not isinstance(network, kind):
+        others = _LOADED_BY[type(network).__name__]
+        raise InputError(
+            f"planner {planner!r} takes a {kind.__name__}, and {str(weights)!r} is a "
+            f"{type(network).__name__}, for {others}; name other weights or another planner"
+        )
+    return network
 
 
 def _on_this_device(shapes: Any) -> Any:

@@ -1,0 +1,327 @@
+"""Problems on their way: roadmap after roadmap is proposed and searched, until a path is certified.
+
+A strategy's functions are compiled here, over the problems of a batch; what they find is counted,
+timed and certified. A path that cannot be certified is searched around, never returned.
+"""
+
+import dataclasses
+import functools
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.checker import EdgeChecks, make_checker
+from gnnjax.devices import over_problems
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.query import Plan, make_plan, path_length
+from gnnjax.planning.strategy import Checks, Propose, Strategy
+from gnnjax.problems.problem import Problem
+from gnnjax.roadmap.graph import GOAL, Roadmap
+from gnnjax.roadmap.sampled import SampledRoadmap
+from gnnjax.scene.scene import Scene
+from gnnjax.search.knowledge import INVALID, Found, Knowledge, nothing_known
+from gnnjax.search.shorten import NUM_POINTS
+
+
+class Compiled(NamedTuple):
+    """A strategy's functions over P problems, compiled on their first call.
+
+    `first` and `later`: `(weights, stored, key, problems, active)`; `search`: `(weights, roadmaps,
+    scenes, knowledge, longest_checked, max_price, active, later)`; `shorten`: `(weights, points,
+    scenes, status, active)`.
+    """
+
+    first: Callable
+    later: Callable
+    search: Callable
+    shorten: Callable
+
+
+def compile_strategy(
+    robot: Robot, strategy: Strategy, options: PlannerOptions, axis_aligned: bool, max_boxes: int
+) -> Compiled:
+    """Makes the jitted parts of a query, for one padding of the scene."""
+    checker = make_checker(
+        robot,
+        options.checker,
+        axis_aligned=axis_aligned,
+        max_boxes=max_boxes,
+        resolution=options.resolution,
+    )
+
+    def checks_in(scene: Scene) -> Checks:
+        def check_edge(start: jax.Array, end: jax.Array) -> EdgeChecks:
+            checks = checker.check_edges(scene, start[None], end[None])
+            return EdgeChecks(checks.valid[0], checks.num_checks[0])
+
+        return Checks(
+            check_edge,
+            functools.partial(checker.check_edges, scene),
+            functools.partial(checker.check_configurations, scene),
+        )
+
+    def build(propose: Propose) -> Callable:
+        @jax.jit
+        def built(weights, stored, key, problems: Problem, active: jax.Array):
+            def one(problem: Problem) -> tuple[SampledRoadmap, Knowledge]:
+                sampled = propose(weights, stored, key, problem, checks_in(problem.scene))
+                known = nothing_known(sampled.roadmap, nodes_checked=strategy.nodes_checked)
+                return sampled, known
+
+            return over_problems(one, active, problems)
+
+        return built
+
+    @functools.partial(jax.jit, static_argnames="later")
+    def search(
+        weights, roadmaps, scenes, knowledge, longest, max_price, active, later: bool
+    ) -> tuple[Found, Knowledge]:
+        def one(roadmap: Roadmap, scene: Scene, known: Knowledge):
+            checks = checks_in(scene)
+            return strategy.search(
+                weights, roadmap, scene, checks, known, longest, max_price, later
+            )
+
+        found, known = over_problems(one, active, roadmaps, scenes, knowledge)
+        return found, _update(active, known, knowledge)
+
+    @jax.jit
+    def shorten(weights, points, scenes, status, active) -> tuple[Found, jax.Array]:
+        own = strategy.shorten
+        assert own is not None
+
+        def one(points: jax.Array, scene: Scene, status: jax.Array):
+            return own(weights, points, scene, checks_in(scene), status)
+
+        found, known = over_problems(one, active, points, scenes, status)
+        return found, _update(active, known, status)
+
+    first = build(strategy.first)
+    later = first if strategy.later is strategy.first else build(strategy.later)
+    return Compiled(first, later, search, shorten)
+
+
+def _update(rows: jax.Array, new: Any, old: Any) -> Any:
+    """The new values where `rows` `[P]`, and the old ones elsewhere."""
+    return jax.tree.map(
+        lambda x, y: jnp.where(rows.reshape(-1, *[1] * (x.ndim - 1)), x, y), new, old
+    )
+
+
+@dataclasses.dataclass(eq=False)
+class Attempt:
+    """The roadmaps of one attempt, and what is known of them."""
+
+    roadmaps: Roadmap
+    knowledge: Knowledge
+    later: bool
+    price: np.ndarray  # [P] nats, of the cheapest path when it was last searched; inf without one
+
+
+class Batch:
+    """P problems on their way: what was found and what it cost."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        strategy: Strategy,
+        options: PlannerOptions,
+        compiled: Compiled,
+        problems: Problem,
+        seed: int,
+    ):
+        self.robot, self.strategy, self.options = robot, strategy, options
+        self.compiled, self.problems, self.seed = compiled, problems, seed
+        num = len(problems.start)
+        self.scenes = jax.tree.map(np.asarray, problems.scene)
+        self.active = np.ones(num, bool)
+        self.paths: list[np.ndarray | None] = [None] * num
+        self.sampling_checks = np.full(num, 2)  # start and goal
+        self.edge_checks, self.search_checks, self.roadmaps = np.zeros((3, num), int)
+        self.planning_time, self.total_time = np.zeros((2, num))
+
+    def run(self) -> list[Plan]:
+        """Plans all problems."""
+        kept: list[Attempt] = []
+        for number in range(self.options.max_roadmaps):
+            if not self._going_on().any():
+                break
+            attempt = self._begin(number)
+            self._work(attempt, self.strategy.give_up)
+            if self.strategy.give_up < np.inf:
+                kept.append(attempt)
+        # No roadmap had a likely path: now the unlikely ones, each problem's least unlikely first.
+        order = np.argsort([attempt.price for attempt in kept], axis=0, kind="stable")
+        for chosen in order:
+            for number, attempt in enumerate(kept):
+                rows = chosen == number
+                if (rows & self._going_on()).any():
+                    self._work(attempt, np.inf, rows)
+        return self._plans()
+
+    def warm_up(self) -> None:
+        """Compiles all that planning may need, and plans nothing."""
+        nobody = self.active = np.zeros(len(self.active), bool)
+        kinds = 1 if self.strategy.later is self.strategy.first else 2
+        for number in range(min(kinds, self.options.max_roadmaps)):
+            found = self._search(self._begin(number), nobody, 1, self.strategy.give_up)
+            if self.strategy.shorten:
+                self._shorten_once(found, np.zeros(_path_status(len(nobody)), np.int8), nobody)
+
+    def _going_on(self) -> np.ndarray:
+        """Which problems are still open and have time left, `[P]`."""
+        return self.active & (self.total_time <= self.options.time_limit)
+
+    def _begin(self, number: int) -> Attempt:
+        """The roadmaps of an attempt."""
+        active = self._going_on()
+        later = number > 0 and self.strategy.later is not self.strategy.first
+        begin = time.perf_counter()
+        key = jax.random.fold_in(jax.random.key(self.seed), number)
+        stored = self.strategy.stored(self.seed, number)
+        propose = self.compiled.later if later else self.compiled.first
+        sampled, knowledge = jax.block_until_ready(
+            propose(self.strategy.weights, stored, key, self.problems, active)
+        )
+        taken = (time.perf_counter() - begin) / max(1, active.sum())
+        self.total_time += np.where(active, taken, 0)
+        self.sampling_checks += np.where(active, sampled.num_checks, 0)
+        self.roadmaps += active
+        return Attempt(sampled.roadmap, knowledge, later, np.full(len(active), np.inf))
+
+    def _work(self, attempt: Attempt, max_price: float, rows: np.ndarray | bool = True) -> None:
+        """Searches roadmaps until paths are certified, or too dear, or there are none."""
+        begin, open_ = time.perf_counter(), self._going_on() & rows
+        worked_on = open_.copy()
+        if self.strategy.shorten:
+            # Checked are single edges, which cannot be shortened. Longer paths are shortened first.
+            found = self._search(attempt, open_, 1, max_price)
+            likely = open_ & np.asarray(found.success) & (np.asarray(found.price) <= max_price)
+            single = np.asarray(found.path)[:, 1] == GOAL
+            self._certify(attempt, found, likely & single)
+            self._shorten(found, likely & ~single)
+            # What had no likely path has none when it is searched again.
+            open_ &= self.active & likely
+        while open_.any():
+            found = self._search(attempt, open_, attempt.roadmaps.nodes.shape[1], max_price)
+            open_ &= np.asarray(found.success)
+            certified = self._certify(attempt, found, open_)
+            if self.strategy.shorten:
+                self._shorten(found, certified & (np.asarray(found.path)[:, 1] != GOAL))
+            open_ &= ~certified
+        taken = (time.perf_counter() - begin) / max(1, worked_on.sum())
+        self.planning_time += np.where(worked_on, taken, 0)
+        self.total_time += np.where(worked_on, taken, 0)
+
+    def _search(
+        self, attempt: Attempt, rows: np.ndarray, longest_checked: int, max_price: float
+    ) -> Found:
+        found, attempt.knowledge = jax.block_until_ready(
+            self.compiled.search(
+                self.strategy.weights,
+                attempt.roadmaps,
+                self.problems.scene,
+                attempt.knowledge,
+                np.int32(longest_checked),
+                np.float32(max_price),
+                rows,
+                later=attempt.later,
+            )
+        )
+        self._count(found, rows)
+        attempt.price = np.where(rows, found.price, attempt.price)
+        return found
+
+    def _shorten(self, found: Found, rows: np.ndarray) -> None:
+        """Shortens the paths of some problems, and keeps what is certified and shorter."""
+        status = np.zeros(_path_status(len(rows)), np.int8)
+        rows = rows.copy()
+        while rows.any():
+            short, known = self._shorten_once(found, status, rows)
+            rows &= np.asarray(short.success)
+            status = np.array(known)
+            for i in np.flatnonzero(rows):
+                walked, certified = self._keep_if_certified(int(i), short)
+                rows[i] = not certified.all()
+                for step in np.flatnonzero(~certified):
+                    ends = walked[[step, step + 1]]
+                    status[i, ends, ends[::-1]] = INVALID
+
+    def _shorten_once(
+        self, found: Found, status: np.ndarray, rows: np.ndarray
+    ) -> tuple[Found, jax.Array]:
+        short, known = jax.block_until_ready(
+            self.compiled.shorten(
+                self.strategy.weights, found.points, self.problems.scene, status, rows
+            )
+        )
+        self._count(short, rows)
+        return short, known
+
+    def _certify(self, attempt: Attempt, found: Found, rows: np.ndarray) -> np.ndarray:
+        """Keeps the certified paths of some problems, and notes which edges are not.
+
+        Returns:
+            `[P]`, true where a path was kept.
+        """
+        kept = np.zeros(len(rows), bool)
+        for i in np.flatnonzero(rows):
+            walked, certified = self._keep_if_certified(int(i), found)
+            kept[i] = certified.all()
+            if kept[i]:
+                continue
+            status = np.array(attempt.knowledge.status)
+            for step in np.flatnonzero(~certified):
+                for near, far in (walked[[step, step + 1]], walked[[step + 1, step]]):
+                    slots = np.asarray(attempt.roadmaps.neighbors)[i, near] == far
+                    status[i, near, slots] = INVALID
+            attempt.knowledge = attempt.knowledge._replace(status=status)
+        return kept
+
+    def _keep_if_certified(self, i: int, found: Found) -> tuple[np.ndarray, np.ndarray]:
+        """Keeps the path of problem i if it is certified, and shorter than what there is.
+
+        Returns:
+            The nodes of the path, and which of its edges are certified.
+        """
+        walked = np.asarray(found.path)[i]
+        walked = walked[walked >= 0]
+        path = np.asarray(found.waypoints)[i][: len(walked)]
+        scene = jax.tree.map(lambda x: x[i], self.scenes)
+        certified = certify_edges(self.robot, scene, path[:-1], path[1:])
+        known = self.paths[i]
+        if certified.all() and (known is None or path_length(path) < path_length(known)):
+            self.paths[i] = path
+            self.active[i] = False
+        return walked, certified
+
+    def _count(self, found: Found, rows: np.ndarray) -> None:
+        self.edge_checks += np.where(rows, found.edge_checks, 0)
+        self.search_checks += np.where(rows, found.configuration_checks, 0)
+
+    def _plans(self) -> list[Plan]:
+        return [
+            make_plan(
+                path,
+                f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe})",
+                self.robot.num_dof,
+                edge_checks=int(self.edge_checks[i]),
+                sampling_checks=int(self.sampling_checks[i]),
+                search_checks=int(self.search_checks[i]),
+                planning_time_s=float(self.planning_time[i]),
+                total_time_s=float(self.total_time[i]),
+                roadmaps=int(self.roadmaps[i]),
+            )
+            for i, path in enumerate(self.paths)
+        ]
+
+
+def _path_status(num: int) -> tuple[int, int, int]:
+    """Shape of what is known of the path roadmaps of P problems."""
+    return num, NUM_POINTS, NUM_POINTS

@@ -1,0 +1,118 @@
+"""The planners there are and their options, once: for commands and for `load_planner`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from gnnjax.collision.checker import EDGE_RESOLUTION
+from gnnjax.errors import InputError
+
+DEFAULT_MAX_ROADMAPS = 8
+
+# Planners by name, and what each does.
+PLANNERS = {
+    "guided": "lazy search for the path that is cheapest by length and a guide's doubts, shortened "
+    "before it is checked",
+    "gnn": "the paper's greedy search by the values of the guidance network",
+    "gnn_lazy": "lazy search by length and the guidance network's doubts",
+    "distance": "greedy search by the distance to the goal",
+    "lazysp": "lazy search for the shortest path",
+    "prm": "all edges are checked, then the shortest path is taken",
+    "oracle": "greedy search by the exact cost-to-go: a bound, not a planner",
+    "greedy": "greedy search by a scorer of your own, from Python alone",
+    "ompl:rrt_connect": "RRT-Connect of OMPL",
+    "ompl:rrt_star": "RRT* of OMPL, to its first path",
+    "ompl:bit_star": "BIT* of OMPL, to its first path",
+    "ompl:prm": "PRM of OMPL, to its first path",
+    "ompl:lazy_prm": "LazyPRM of OMPL 1.7",
+    "ompl:ait_star": "AIT* of OMPL 1.7, to its first path",
+    "ompl:eit_star": "EIT* of OMPL 1.7, to its first path",
+}
+CHECKERS = ("fused", "mjx", "mujoco")
+
+_PLANNER_HELP = "How a path is found: " + "; ".join(f"{n} ({what})" for n, what in PLANNERS.items())
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlannerOptions:
+    """How queries are planned."""
+
+    planner: Annotated[str, tyro.conf.arg(help=_PLANNER_HELP)] = "guided"
+    num_nodes: int = 200
+    """Nodes of a roadmap, start and goal included; of the first one, for guided."""
+    max_roadmaps: int = DEFAULT_MAX_ROADMAPS
+    """Roadmaps to try before giving up; 1 is the paper's way."""
+    weights: Path | None = None
+    """Checkpoint of the network, or name of shipped weights; by default those for the planner."""
+    shorten: bool = True
+    """Shorten paths before they are checked; for guided alone."""
+    sampled: bool = False
+    """Search roadmaps of checked nodes, drawn for each query like those of the other planners of
+    roadmaps; for guided alone."""
+    simplify: bool = False
+    """Let OMPL simplify the path that its planner found; not for our own planners."""
+    checker: Literal["fused", "mjx", "mujoco"] = "fused"
+    """Collision backend; mujoco, MuJoCo's C engine, is for the planners of OMPL."""
+    resolution: float = EDGE_RESOLUTION
+    """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
+    time_limit: float = np.inf
+    """Seconds after which no further roadmap is begun."""
+
+    @property
+    def is_classical(self) -> bool:
+        """Whether the planner is one of OMPL's."""
+        return self.planner.startswith("ompl:")
+
+
+def make_options(planner: str, **options: Any) -> PlannerOptions:
+    """Options by name.
+
+    Raises:
+        InputError: a name that is no option.
+    """
+    known = [field.name for field in dataclasses.fields(PlannerOptions)]
+    unknown = sorted(options.keys() - set(known))
+    if unknown:
+        raise InputError(f"no option {unknown[0]!r} of a planner; there are {known}")
+    return PlannerOptions(planner=planner, **options)
+
+
+def check_options(options: PlannerOptions) -> None:
+    """Refuses what no planner, or not this one, can work with.
+
+    Raises:
+        InputError: names the option.
+    """
+    name = options.planner
+    if name not in PLANNERS:
+        raise InputError(f"no planner {name!r}; there are {list(PLANNERS)}")
+    if options.checker not in CHECKERS:
+        raise InputError(f"no checker {options.checker!r}; there are {list(CHECKERS)}")
+    backends = ("fused", "mujoco") if options.is_classical else ("fused", "mjx")
+    if options.checker not in backends:
+        raise InputError(
+            f"checker {options.checker!r} with planner {name!r}; it takes {list(backends)}"
+        )
+    if options.num_nodes < 2:
+        raise InputError(
+            f"num_nodes is {options.num_nodes}; a roadmap needs at least start and goal"
+        )
+    if options.max_roadmaps < 1:
+        raise InputError(f"max_roadmaps is {options.max_roadmaps}; it must be at least 1")
+    # NaN fails both comparisons.
+    if not options.resolution >= 1e-3:
+        raise InputError(
+            f"resolution is {options.resolution}; it must be at least 0.001 rad (or m)"
+        )
+    if not options.time_limit > 0:
+        raise InputError(f"time_limit is {options.time_limit}; it must be more than 0 s")
+    if name != "guided" and (options.sampled or not options.shorten):
+        option = "sampled" if options.sampled else "shorten=False"
+        raise InputError(
+            f"{option} with planner {name!r}; it is for planner 'guided', leave it out"
+        )
+    if options.simplify and not options.is_classical:
+        raise InputError(f"simplify with planner {name!r}; it is for OMPL's planners, leave it out")
