@@ -9,7 +9,7 @@ import tyro
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError, atomic_write, check_target, run_command
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import make_planner
+from gnnjax.planning.planner import own_planner
 from gnnjax.scene.scene import scene_from_json
 
 
@@ -38,7 +38,7 @@ def main(config: PlanConfig) -> int:
     # All that can be refused is refused before planning, which may take a minute.
     check_target(config.out)
     scene = scene_from_json(config.scene)
-    planner = make_planner(load_robot(config.robot), config)
+    planner = own_planner(load_robot(config.robot), config)
     draw = None
     if config.image is not None:
         try:

@@ -16,9 +16,10 @@ from gnnjax.baselines.ompl import ClassicalPlanner
 from gnnjax.collision.certify import certify_path, configuration_clearance
 from gnnjax.collision.checker import make_checker
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, _within, evaluate, make_planner
+from gnnjax.evaluate import EvaluateConfig, _within, evaluate
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.planning.planner import Planner
+from gnnjax.planning.options import make_options
+from gnnjax.planning.planner import Planner, make_planner
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
 
@@ -55,7 +56,7 @@ def blocked(walled):
 def planners(robot):
     """One planner of each kind, made once."""
     return {
-        (method, checker): ClassicalPlanner(robot, method, checker=checker, time_limit=5.0)
+        (method, checker): classical(robot, method, checker=checker)
         for method, checker in itertools.product(PLANNERS, CHECKERS)
     }
 
@@ -103,7 +104,7 @@ def test_counts_are_those_of_a_recount(robot, walled, checker, monkeypatch):
             return plain(self, *arguments)
 
         monkeypatch.setattr(Ledger, name, noted)
-    planner = ClassicalPlanner(robot, "ompl:rrt_connect", checker=checker)
+    planner = classical(robot, "ompl:rrt_connect", checker=checker)
     (plan,) = planner.plan_batch(walled, seed=1)
     scene = jax.tree.map(lambda x: x[0], walled.scene)
     tested, edges, sampling, search = {}, set(), 0, 0
@@ -132,6 +133,10 @@ def test_counts_are_those_of_a_recount(robot, walled, checker, monkeypatch):
     assert plan.edge_checks == len(edges)
     assert plan.sampling_checks == sampling
     assert plan.search_checks == search
+
+
+def classical(robot, planner="ompl:rrt_connect", **options):
+    return ClassicalPlanner(robot, make_options(planner, **{"time_limit": 5.0, **options}))
 
 
 def points_along(start, end, checker):
@@ -217,7 +222,7 @@ def test_the_fused_edge_is_that_of_the_checker(robot, fused_maker):
 
 
 def test_no_path_in_time_is_a_failure(robot, blocked):
-    planner = ClassicalPlanner(robot, time_limit=0.2, checker="mujoco")
+    planner = classical(robot, time_limit=0.2, checker="mujoco")
     (plan,) = planner.plan_batch(blocked)
     assert not plan.success
     assert plan.reason == "no path within 0.2 s"
@@ -233,7 +238,7 @@ def test_a_simplified_path_is_shorter_and_holds_and_its_checks_count(
     robot, walled, planners, method, checker
 ):
     """Not PRM, whose first path is another one each time."""
-    simplifying = ClassicalPlanner(robot, method, checker=checker, simplify=True)
+    simplifying = classical(robot, method, checker=checker, simplify=True)
     scene = jax.tree.map(lambda x: x[0], walled.scene)
     shorter = 0
     for seed in range(4):
@@ -258,7 +263,7 @@ def holds(robot, scene, start, end, checker):
 
 
 def test_simplifying_repeats_with_its_seed(robot, walled):
-    planner = ClassicalPlanner(robot, checker="mujoco", simplify=True)
+    planner = classical(robot, checker="mujoco", simplify=True)
     first, again = (planner.plan_batch(walled, seed=3)[0] for _ in range(2))
     np.testing.assert_array_equal(first.path, again.path)
     assert first.configuration_checks == again.configuration_checks
@@ -276,7 +281,7 @@ def test_a_simplified_path_that_does_not_hold_is_left(robot, walled, planners, m
         return True
 
     monkeypatch.setattr(geometric.PathSimplifier, "simplify", straight)
-    planner = ClassicalPlanner(robot, "ompl:rrt_connect", checker="mujoco", simplify=True)
+    planner = classical(robot, "ompl:rrt_connect", checker="mujoco", simplify=True)
     (plain,) = planners["ompl:rrt_connect", "mujoco"].plan_batch(walled)
     (plan,) = planner.plan_batch(walled)
     np.testing.assert_array_equal(plan.path, plain.path)
@@ -286,7 +291,7 @@ def test_a_simplified_path_that_does_not_hold_is_left(robot, walled, planners, m
 def test_simplifying_ends_with_the_time(robot, walled, planners, monkeypatch):
     """The path that was found is then the answer, and nothing more is tested."""
     monkeypatch.setattr("gnnjax.baselines.ompl._CLOSING_S", 5.0)
-    planner = ClassicalPlanner(robot, checker="mujoco", simplify=True, time_limit=5.0)
+    planner = classical(robot, checker="mujoco", simplify=True, time_limit=5.0)
     (plain,) = planners["ompl:rrt_connect", "mujoco"].plan_batch(walled)
     (plan,) = planner.plan_batch(walled)
     np.testing.assert_array_equal(plan.path, plain.path)
@@ -352,14 +357,20 @@ def test_without_ompl_it_alone_is_missing(tiny_path, problems, tmp_path, monkeyp
         evaluate(config(tiny_path, problems, tmp_path / "out.json"))
     assert not (tmp_path / "out.json").exists()
     ours = config(tiny_path, problems, tmp_path / "x.json", planner="distance", checker="fused")
-    assert isinstance(make_planner(ours), Planner)
+    assert isinstance(make_planner(load_robot(tiny_path), ours), Planner)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"checker": "mjx"}, r"checker 'mjx' with planner 'ompl:rrt_connect'; OMPL's planners"),
-        ({"planner": "lazysp"}, "checker 'mujoco' with planner 'lazysp'; it is for OMPL's"),
+        (
+            {"checker": "mjx"},
+            r"'mjx' with planner 'ompl:rrt_connect'; it takes \['fused",
+        ),
+        (
+            {"planner": "lazysp"},
+            r"'mujoco' with planner 'lazysp'; it takes \['fused",
+        ),
         (
             {"planner": "lazysp", "checker": "fused", "simplify": True},
             "^simplify with planner 'lazysp'; it is for OMPL's planners, leave it out$",
@@ -378,7 +389,7 @@ def test_a_planner_that_ompl_lacks_is_named(robot, monkeypatch):
 
     monkeypatch.delattr(geometric, "RRTConnect")
     with pytest.raises(InputError, match=r"OMPL [\d.]+ has no planner 'ompl:rrt_connect'; OMPL 1"):
-        ClassicalPlanner(robot)
+        classical(robot)
 
 
 def test_states_are_freed_with_their_query(planners, walled):
@@ -396,6 +407,9 @@ def test_states_are_freed_with_their_query(planners, walled):
 
 
 def test_our_planners_begin_no_roadmap_after_the_limit(robot, blocked, quick_compilation):
-    planner = Planner(robot, "distance", 20, 3, time_limit=1e-9)
-    assert planner.plan_batch(blocked)[0].roadmaps == 1
-    assert Planner(robot, "distance", 20, 3).plan_batch(blocked)[0].roadmaps == 3
+    def planner(**options):
+        options = make_options("distance", num_nodes=20, max_roadmaps=3, **options)
+        return make_planner(robot, options)
+
+    assert planner(time_limit=1e-9).plan_batch(blocked)[0].roadmaps == 1
+    assert planner().plan_batch(blocked)[0].roadmaps == 3

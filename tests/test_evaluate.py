@@ -12,9 +12,9 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, evaluate, make_planner, print_summary, summarize
+from gnnjax.evaluate import EvaluateConfig, evaluate, print_summary, summarize
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.planning.guided import GuidedPlanner
+from gnnjax.planning.planner import Planner, make_planner
 from gnnjax.problems.problem import load_problems, save_problems
 from gnnjax.scene.scene import Scene
 
@@ -158,17 +158,17 @@ def test_the_guided_planner_is_warm_before_it_is_timed(
     tiny_path, problems, tmp_path, quick_compilation, variant
 ):
     case = config(tiny_path, problems, tmp_path / "guided.json", planner="guided", **variant)
-    planner = make_planner(case)
-    assert isinstance(planner, GuidedPlanner)
+    planner = make_planner(load_robot(tiny_path), case)
+    assert isinstance(planner, Planner)
     query = load_problems(problems, planner.robot).take(slice(1)).problems
     planner.warm_up(query)
-    compiled = planner.functions(True, query.scene.mask.shape[-1])
+    compiled = planner._compiled(True, query.scene.mask.shape[-1])
     sizes = [f._cache_size() for f in compiled]
-    assert sizes == ([1, 1, 2, 1] if planner.shorten else [1, 0, 1, 0])
+    assert sizes == ([1, 1, 2, 1] if case.shorten else [1, 0, 1, 0])
     found = evaluate(case, planner)
     assert [f._cache_size() for f in compiled] == sizes
     assert found["summary"]["all"]["certified"] > 0
-    assert found["settings"]["sampled"] is planner.sampled
+    assert found["settings"]["sampled"] is case.sampled
     print_summary(found)
 
 

@@ -1,5 +1,6 @@
 """The default planner end to end: what it finds, laws, and bad input."""
 
+import dataclasses
 import itertools
 import json
 from pathlib import Path
@@ -16,11 +17,12 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, certify_path, configuration_clearance
 from gnnjax.collision.checker import make_checker
 from gnnjax.errors import InputError
-from gnnjax.guide.motion import MotionNetwork
+from gnnjax.guide.motion import MotionNetwork, motion_guide
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
-from gnnjax.planning.guided import GuidedPlanner
+from gnnjax.planning.options import PlannerOptions, make_options
 from gnnjax.planning.planner import Planner, load_planner
+from gnnjax.planning.strategy import guided
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.stored import insert_ends, stored_roadmap
 from gnnjax.scene.scene import make_scene
@@ -49,7 +51,17 @@ def network():
 @pytest.fixture(scope="module")
 def planner(robot, network):
     """Compiled once, for boxes that are not rotated."""
-    return GuidedPlanner(robot, network, NUM_NODES, max_roadmaps=2)
+    return make(robot, network)
+
+
+def make(robot, network, **options):
+    options = make_options("guided", **{"num_nodes": NUM_NODES, "max_roadmaps": 2, **options})
+    return Planner(robot, guided(robot, motion_guide(robot, network), options), options)
+
+
+def with_options(planner, **changes):
+    """The same compiled functions under other limits."""
+    return dataclasses.replace(planner.options, **changes)
 
 
 def random_problem(robot, rng, num=5):
@@ -136,7 +148,7 @@ def test_the_seed_alone_decides(planner, problems, plans):
 
 
 def test_a_path_is_found_wherever_the_roadmap_has_one(robot, planner, monkeypatch):
-    monkeypatch.setattr(planner, "max_roadmaps", 1)
+    monkeypatch.setattr(planner, "options", with_options(planner, max_roadmaps=1))
     stored = stored_roadmap(robot, NUM_NODES - 2, 0)
     checker = make_checker(robot, axis_aligned=True, max_boxes=10)
 
@@ -167,7 +179,7 @@ def test_a_path_is_found_wherever_the_roadmap_has_one(robot, planner, monkeypatc
 
 
 def test_other_weights_take_effect_and_nothing_is_compiled_again(planner, network, problems, plans):
-    functions = planner.functions(True, 10)
+    functions = planner._compiled(True, 10)
     sizes = [f._cache_size() for f in functions]
     other = MotionNetwork(network.num_points, network.channels, rngs=nnx.Rngs(7))
     planner.use_weights(nnx.state(other))
@@ -182,7 +194,7 @@ def test_other_weights_take_effect_and_nothing_is_compiled_again(planner, networ
 
 
 def test_roadmaps_of_tested_nodes_and_paths_as_they_are(robot, network, problems):
-    planner = GuidedPlanner(robot, network, NUM_NODES, 2, shorten=False, sampled=True)
+    planner = make(robot, network, shorten=False, sampled=True)
     found = planner.plan_batch(problems)
     assert sum(plan.success for plan in found) >= 5
     assert not found[-1].success
@@ -196,7 +208,7 @@ def test_roadmaps_of_tested_nodes_and_paths_as_they_are(robot, network, problems
 
 
 def test_no_roadmap_is_begun_after_the_time_limit(planner, problems, monkeypatch):
-    monkeypatch.setattr(planner, "time_limit", 1e-9)
+    monkeypatch.setattr(planner, "options", with_options(planner, time_limit=1e-9))
     for plan in planner.plan_batch(problems):
         assert plan.roadmaps == 1
         assert plan.success or "no path in the 1 roadmaps tried" in plan.reason
@@ -279,15 +291,14 @@ def test_a_box_in_the_base_is_refused(planner):
 )
 def test_bad_settings_are_refused(robot, network, change, message):
     with pytest.raises(InputError, match=message):
-        GuidedPlanner(robot, network, **change)
+        make(robot, network, **change)
 
 
 def test_it_is_the_default_and_needs_no_weights_of_the_arm(tiny_path):
     planner = load_planner(tiny_path)
-    assert isinstance(planner, GuidedPlanner)
-    assert PlanConfig(Path(), (), ()).planner == planner.method == "guided"
-    with pytest.raises(InputError, match="no planner 'guided'; there are"):
-        Planner(planner.robot, "guided")
+    assert isinstance(planner, Planner)
+    config = PlanConfig(scene=Path(), start=(), goal=())
+    assert config.planner == planner.options.planner == PlannerOptions().planner == "guided"
 
 
 @pytest.mark.parametrize(
@@ -313,7 +324,9 @@ def test_it_is_the_default_and_needs_no_weights_of_the_arm(tiny_path):
 def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, boxes, ends, message):
     path, size = tmp_path / "scene.json", [0.05, 0.05, 0.05]
     path.write_text(json.dumps({"boxes": [{"center": c, "half_extents": size} for c in boxes]}))
-    config = PlanConfig(path, *ends, robot=str(tiny_path), out=tmp_path / "path.npz")
+    config = PlanConfig(
+        scene=path, start=ends[0], goal=ends[1], robot=str(tiny_path), out=tmp_path / "path.npz"
+    )
     with pytest.raises(InputError, match=message):
         plan_once(config)
     assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]

@@ -14,9 +14,11 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path, configuration_clearance
 from gnnjax.errors import InputError
 from gnnjax.paper.network import GuidanceNetwork
+from gnnjax.paper.strategy import gnn
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
-from gnnjax.planning.planner import Planner, load_planner
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.planner import load_planner
 from gnnjax.scene.scene import make_scene
 from tests.fine_scan import collides_anywhere, random_scene
 
@@ -24,7 +26,7 @@ from tests.fine_scan import collides_anywhere, random_scene
 @pytest.mark.parametrize("method", ["lazysp", "distance", "prm", "oracle"])
 def test_every_method_plans_certified_paths(tiny_path, method):
     robot, rng = load_robot(tiny_path), np.random.default_rng(1)
-    planner = Planner(robot, method, num_nodes=60, max_roadmaps=2)
+    planner = load_planner(tiny_path, method, num_nodes=60, max_roadmaps=2)
     solved = 0
     for _ in range(6):
         scene = random_scene(rng)
@@ -47,7 +49,7 @@ def test_every_method_plans_certified_paths(tiny_path, method):
 
 
 def test_the_same_seed_gives_the_same_plan(tiny_path):
-    planner = Planner(load_robot(tiny_path), num_nodes=60)
+    planner = load_planner(tiny_path, "lazysp", num_nodes=60)
     scene = random_scene(np.random.default_rng(2))
     first, again = (
         planner.plan(scene, [0.5, 1, 0], [-2, -1, 1], seed=3)._replace(
@@ -72,13 +74,13 @@ def test_the_same_seed_gives_the_same_plan(tiny_path):
 def test_a_bad_start_is_refused_with_its_value(tiny_path, start, message):
     scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
     with pytest.raises(InputError, match=message):
-        Planner(load_robot(tiny_path), num_nodes=60).plan(scene, start, [2.0, 0.0, 0.0])
+        load_planner(tiny_path, "lazysp", num_nodes=60).plan(scene, start, [2.0, 0.0, 0.0])
 
 
 def test_a_box_in_the_base_is_refused(tiny_path):
     scene = make_scene([[0.0, 0.0, 0.1]], [[0.05, 0.05, 0.05]])
     with pytest.raises(InputError, match="box 0 of the scene touches the base"):
-        Planner(load_robot(tiny_path)).plan(scene, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+        load_planner(tiny_path, "lazysp").plan(scene, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -86,9 +88,13 @@ def test_a_box_in_the_base_is_refused(tiny_path):
     [
         ({"robot": "pr2"}, "no robot 'pr2' in assets/; there are"),
         ({"robot": "missing.xml"}, "no MJCF file at 'missing.xml'"),
-        ({"robot": "kuka_iiwa14", "method": "magic"}, "no planner 'magic'; there are"),
+        ({"robot": "kuka_iiwa14", "planner": "magic"}, "no planner 'magic'; there are"),
         ({"robot": "kuka_iiwa14", "num_nodes": 1}, "num_nodes is 1"),
         ({"robot": "kuka_iiwa14", "max_roadmaps": 0}, "max_roadmaps is 0"),
+        ({"robot": "kuka_iiwa14", "nodes": 3}, "no option 'nodes' of a planner; there are"),
+        ({"robot": "kuka_iiwa14", "planner": "greedy"}, "planner 'greedy' with scorer None"),
+        ({"robot": "kuka_iiwa14", "planner": "gnn", "weights": "motion"}, "takes a Guidance"),
+        ({"robot": "kuka_iiwa14", "weights": "kuka_iiwa14"}, "is a GuidanceNetwork, for 'gnn'"),
     ],
 )
 def test_bad_planner_arguments_name_the_choices(arguments, message):
@@ -163,7 +169,7 @@ def test_an_arm_of_other_geoms_is_refused(tmp_path):
         '<geom name="brick" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>'
     )
     for checker in ("fused", "mjx"):
-        planner = Planner(load_robot(path), checker=checker)
+        planner = load_planner(path, "lazysp", checker=checker)
         with pytest.raises(InputError, match="geom brick of brick is neither sphere nor capsule"):
             planner.plan(make_scene([], []), [0.0], [1.0])
 
@@ -171,8 +177,6 @@ def test_an_arm_of_other_geoms_is_refused(tmp_path):
 def test_an_arm_of_six_joints_plans_with_the_network_for_seven():
     planner = load_planner("kinova_gen3", "gnn", num_nodes=100, max_roadmaps=2)
     assert planner.robot.num_dof == 6
-    assert isinstance(planner.network, GuidanceNetwork)
-    assert planner.network.num_dof == 7
     scene = make_scene([[0.5, 0.0, 0.5]], [[0.1, 0.1, 0.3]])
     plan = planner.plan(scene, [-1.2, 0.6, -1.5, 0, -0.9, 0], [1.2, 0.6, -1.5, 0, -0.9, 0])
     assert plan.success
@@ -183,4 +187,4 @@ def test_an_arm_of_six_joints_plans_with_the_network_for_seven():
 def test_a_network_for_fewer_joints_is_refused(tiny_path):
     network = nnx.eval_shape(lambda: GuidanceNetwork(num_dof=2, channels=8, rngs=nnx.Rngs(0)))
     with pytest.raises(InputError, match="made for up to 2 joints, tiny has 3; train one with"):
-        Planner(load_robot(tiny_path), "gnn", network=network)
+        gnn(load_robot(tiny_path), network, PlannerOptions(planner="gnn"))

@@ -109,6 +109,8 @@ def check_options(options: PlannerOptions) -> None:
         )
     if not options.time_limit > 0:
         raise InputError(f"time_limit is {options.time_limit}; it must be more than 0 s")
+    if options.is_classical and not np.isfinite(options.time_limit):
+        raise InputError(f"time_limit with planner {name!r} is infinite; choose some seconds")
     if name != "guided" and (options.sampled or not options.shorten):
         option = "sampled" if options.sampled else "shorten=False"
         raise InputError(

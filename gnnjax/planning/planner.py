@@ -50,9 +50,21 @@ def load_planner(
     Raises:
         InputError: an unknown robot, planner or option, or options that do not fit the planner.
     """
-    made = make_planner(load_robot(robot), make_options(planner, **options), guide, scorer)
+    return own_planner(load_robot(robot), make_options(planner, **options), guide, scorer)
+
+
+def own_planner(
+    robot: Robot,
+    options: PlannerOptions,
+    guide: Guide | None = None,
+    scorer: MakeScorer | None = None,
+) -> "Planner":
+    """`make_planner` for all but OMPL's, whose paths nobody certifies before they are returned."""
+    made = make_planner(robot, options, guide, scorer)
     if not isinstance(made, Planner):
-        raise InputError(f"planner {planner!r} is one of OMPL's; evaluate takes it, this does not")
+        raise InputError(
+            f"planner {options.planner!r} is one of OMPL's; python -m gnnjax.evaluate takes it"
+        )
     return made
 
 

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +34,7 @@ class Plan(NamedTuple):
     roadmaps: int  # roadmaps sampled; 1 for planners that have none
 
 
+@runtime_checkable
 class QueryPlanner(Protocol):
     """What a planner is to `evaluate`."""
 

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
-from scipy.stats import qmc
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import self_clearance
 from gnnjax.errors import InputError
 from gnnjax.roadmap.graph import Roadmap, connect, connect_where, default_radius, node_bucket
+from gnnjax.roadmap.sobol import sobol_points
 
 _SLOTS = 32
 _END_REACH = 1.3  # of the radius: how far start and goal are joined with nodes
@@ -42,10 +42,10 @@ def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
     Raises:
         InputError: hardly any configuration of the arm is free of self-collision.
     """
-    sobol = qmc.Sobol(robot.num_dof, scramble=True, rng=np.random.default_rng(seed))
     nodes = np.zeros((0, robot.num_dof), np.float32)
-    for _ in range(20):
-        drawn = sobol.random(1 << int(num_nodes - 1).bit_length())
+    block = 1 << int(num_nodes - 1).bit_length()
+    for number in range(20):
+        drawn = sobol_points(robot.num_dof, seed, number * block, block)
         drawn = (robot.joint_lower + drawn * robot.joint_range).astype(np.float32)
         drawn = np.clip(drawn, robot.joint_lower, robot.joint_upper)
         nodes = np.concatenate([nodes, drawn[self_clearance(robot, drawn) > 0]])[:num_nodes]
