@@ -42,7 +42,7 @@ from gnnjax.evaluate import EvaluateConfig
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.paper.network import Part
 from gnnjax.train import PRESETS, TrainConfig, train
-from gnnjax.training.checkpoint import load_network, read_metadata
+from gnnjax.training.weights import load_network, read_metadata
 
 CLAIM = "Every part of the network saves edge checks."
 
@@ -169,7 +169,7 @@ def _training(
 
 def _trained(config: TrainConfig) -> Path:
     """The weights of a training, which runs if it has not."""
-    weights = config.out / "weights"
+    weights = config.out / "weights.safetensors"
     return weights if weights.exists() else train(config)
 
 

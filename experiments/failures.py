@@ -43,7 +43,7 @@ from gnnjax.evaluate import EvaluateConfig
 from gnnjax.paper.occupancy import occupancy_grid
 from gnnjax.problems.problem import load_problems
 from gnnjax.scene.scene import Scene
-from gnnjax.training.checkpoint import load_network
+from gnnjax.training.weights import load_network
 
 CLAIM = "What fails: dead ends, long paths, swinging back and forth, and a grid that is too coarse."
 PLANNERS = ("guided", "guided_sampled", "gnn_paper", "gnn", "gnn_lazy", "distance")

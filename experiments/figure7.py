@@ -21,7 +21,7 @@ from experiments.measure import ExperimentConfig, measure, problem_set, save_res
 from experiments.style import COLORS, draw_bars
 from gnnjax.errors import InputError, atomic_write, run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.training.checkpoint import find_weights
+from gnnjax.training.weights import find_weights
 
 CLAIM = "A guide trained in R^7 saves collision checks and planning time in R^6."
 

@@ -41,7 +41,7 @@ from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import arm_view
 from gnnjax.scene.scene import Scene
 from gnnjax.train_motion import TrainMotionConfig, area_under_curve
-from gnnjax.training.checkpoint import load_network
+from gnnjax.training.weights import load_network
 
 CLAIM = "A few points of the arm tell valid edges from blocked ones for less than a check costs."
 EDGE_LENGTH = 3.0  # rad, of the edge that operations are counted for

@@ -9,7 +9,7 @@ from gnnjax.train_motion import TrainMotionConfig, train_motion
 
 def trained(config: TrainMotionConfig) -> Path:
     """The weights of a training, which runs, or goes on, if they are not there."""
-    weights = config.out / "weights"
+    weights = config.out / "weights.safetensors"
     if weights.exists():
         return weights
     begun = (config.out / "checkpoints").exists() and any((config.out / "checkpoints").iterdir())

@@ -35,7 +35,7 @@ from gnnjax.scene.scene import (
 from gnnjax.search.greedy import Scorer, greedy_search
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search
-from gnnjax.training.checkpoint import load_network, save_network
+from gnnjax.training.weights import load_network, save_network
 
 __all__ = [
     "PLANNERS",

@@ -36,7 +36,8 @@ from gnnjax.paper.strategy import gnn
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
 from gnnjax.problems.problem import Problem, load_problems
-from gnnjax.training.checkpoint import TrainingCheckpoints, save_network
+from gnnjax.training.checkpoint import TrainingCheckpoints
+from gnnjax.training.weights import save_network
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,7 +193,7 @@ def validate(planner: Planner, problems: Problem) -> dict[str, float]:
 
 
 def train(config: TrainConfig) -> Path:
-    """Trains and returns the folder of the weights.
+    """Trains and returns the file of the weights.
 
     The order of the data and the walks depend on seed and epoch alone, so that a run that was cut
     off and resumed comes to the same numbers.
@@ -280,9 +281,11 @@ def train(config: TrainConfig) -> Path:
             write_log(log, records)
             _append_event(events, record, (epoch + 1) * steps_an_epoch)
     nnx.update(network, state.weights)
-    save_network(config.out / "weights", network, {**_settings(config), "log": records[-1:]})
-    print(f"weights in {config.out / 'weights'}")
-    return config.out / "weights"
+    save_network(
+        config.out / "weights.safetensors", network, {**_settings(config), "log": records[-1:]}
+    )
+    print(f"weights in {weights}")
+    return weights
 
 
 def _check_config(config: TrainConfig) -> None:

@@ -31,7 +31,8 @@ from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import draw_family_scene
 from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
 from gnnjax.train import TrainState, write_log
-from gnnjax.training.checkpoint import TrainingCheckpoints, save_network
+from gnnjax.training.checkpoint import TrainingCheckpoints
+from gnnjax.training.weights import save_network
 
 _MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
 _PAPER_SHARE = 0.5  # of the scenes; the families share the rest
@@ -228,7 +229,7 @@ def make_validation(
 
 
 def train_motion(config: TrainMotionConfig) -> Path:
-    """Trains and returns the folder of the weights.
+    """Trains and returns the file of the weights.
 
     A batch depends on seed and step alone, so that a run that was cut off and resumed comes to the
     same numbers.
@@ -289,9 +290,10 @@ def train_motion(config: TrainMotionConfig) -> Path:
             )
             sums, since, begin = {}, done, time.perf_counter()
     nnx.update(network, state.weights)
-    save_network(config.out / "weights", network, {**settings, "log": records[-1:]})
-    print(f"weights in {config.out / 'weights'}")
-    return config.out / "weights"
+    weights = config.out / "weights.safetensors"
+    save_network(weights, network, {**settings, "log": records[-1:]})
+    print(f"weights in {weights}")
+    return weights
 
 
 def _check_config(config: TrainMotionConfig) -> None:

@@ -15,7 +15,7 @@ from gnnjax.guide.motion import SPACING, MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
 from gnnjax.planning.planner import load_planner
 from gnnjax.scene.scene import make_scene
-from gnnjax.training.checkpoint import load_network, save_network
+from gnnjax.training.weights import load_network, save_network
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -113,8 +113,8 @@ def test_the_shipped_network_tells_free_motions_from_blocked_ones():
 
 
 def test_a_checkpoint_knows_its_kind(network, tmp_path):
-    save_network(tmp_path / "weights", network, {})
-    loaded = load_network(tmp_path / "weights")
+    save_network(tmp_path / "weights.safetensors", network, {})
+    loaded = load_network(tmp_path / "weights.safetensors")
     assert isinstance(loaded, MotionNetwork)
     assert loaded.config == {"num_points": 3, "channels": 8}
     jax.tree.map(np.testing.assert_array_equal, nnx.state(loaded), nnx.state(network))

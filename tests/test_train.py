@@ -9,7 +9,6 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import orbax.checkpoint as ocp
 import pytest
 from flax import nnx
 from tensorboardX.proto.event_pb2 import Event
@@ -26,12 +25,8 @@ from gnnjax.planning.planner import load_planner
 from gnnjax.problems.problem import load_problems
 from gnnjax.roadmap.graph import GOAL
 from gnnjax.train import LOSS_OPTIONS, PRESETS, TrainState, make_optimizer, parse, train
-from gnnjax.training.checkpoint import (
-    TrainingCheckpoints,
-    load_network,
-    read_metadata,
-    save_network,
-)
+from gnnjax.training.checkpoint import TrainingCheckpoints
+from gnnjax.training.weights import load_network, read_metadata
 
 
 @pytest.fixture(scope="module")
@@ -175,10 +170,12 @@ def test_a_run_logs_validates_and_leaves_weights_that_plan(tiny_path, smoke):
     np.testing.assert_allclose(losses, [first["loss"], second["loss"]], rtol=1e-6)
     data = load_problems(smoke.data, load_robot(tiny_path)).problems
     for method in ("gnn", "gnn_lazy"):
-        planner = load_planner(tiny_path, method, num_nodes=30, weights=smoke.out / "weights")
+        planner = load_planner(
+            tiny_path, method, num_nodes=30, weights=smoke.out / "weights.safetensors"
+        )
         plans = planner.plan_batch(data)
         assert sum(plan.success for plan in plans) >= 4
-    meta = read_metadata(smoke.out / "weights")
+    meta = read_metadata(smoke.out / "weights.safetensors")
     assert meta["training"]["epochs"] == 2
     assert meta["model"]["channels"] == 8
 
@@ -208,7 +205,7 @@ def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
     train(dataclasses.replace(config, resume=True))
     assert records(config) == records(smoke)
     weights = [
-        jax.tree.leaves(nnx.state(load_network(c.out / "weights"), nnx.Param))
+        jax.tree.leaves(nnx.state(load_network(c.out / "weights.safetensors"), nnx.Param))
         for c in (config, smoke)
     ]
     for ours, theirs in zip(*weights, strict=True):
@@ -300,36 +297,13 @@ def test_a_run_cannot_go_into_a_file(tiny_path, data_path, tmp_path):
 
 
 def test_a_full_disk_leaves_the_checkpoints_there_are(network, tmp_path, monkeypatch):
-    save_network(tmp_path / "weights", network, {"run": 1})
     state = TrainState(nnx.state(network, nnx.Param), {})
     full = shutil.disk_usage(tmp_path)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
     with TrainingCheckpoints(tmp_path / "run", network, {}) as checkpoints:
-        for write in (
-            lambda: checkpoints.save(1, state),
-            lambda: save_network(tmp_path / "weights", network, {"run": 2}),
-        ):
-            with pytest.raises(OSError, match=r"No space left on device: .*(run/1|weights)'"):
-                write()
+        with pytest.raises(OSError, match=r"No space left on device: .*run/1'"):
+            checkpoints.save(1, state)
         assert checkpoints.latest() is None
-    assert read_metadata(tmp_path / "weights")["training"] == {"run": 1}
-
-
-def test_weights_outlive_a_save_that_is_cut_off(network, tmp_path, monkeypatch):
-    save_network(tmp_path / "weights", network, {"run": 1})
-
-    def killed(self, folder, *args, **kwargs):
-        folder.mkdir()
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(ocp.Checkpointer, "save", killed)
-        with pytest.raises(KeyboardInterrupt):
-            save_network(tmp_path / "weights", network, {"run": 2})
-    assert read_metadata(tmp_path / "weights")["training"] == {"run": 1}
-    save_network(tmp_path / "weights", network, {"run": 3})
-    assert read_metadata(tmp_path / "weights")["training"] == {"run": 3}
-    assert [path.name for path in tmp_path.iterdir()] == ["weights"]
 
 
 def test_the_paper_preset_is_the_papers():
@@ -338,36 +312,3 @@ def test_the_paper_preset_is_the_papers():
     assert (paper.max_walk, paper.every_step, paper.all_nodes) == (10, False, False)
     assert (paper.temperature, paper.validity_weight) == (0.0, 0.0)
     assert not paper.geometric_features
-
-
-def test_a_truncated_checkpoint_is_refused(network, tmp_path):
-    save_network(tmp_path / "weights", network, {})
-    for file in (tmp_path / "weights" / "weights").rglob("d/*"):
-        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(InputError, match="is damaged or no checkpoint"):
-        load_network(tmp_path / "weights")
-
-
-def test_a_checkpoint_of_another_version_is_refused(network, tmp_path):
-    save_network(tmp_path / "weights", network, {})
-    meta = tmp_path / "weights" / "meta" / "metadata"
-    meta.write_text(meta.read_text().replace('"format": 1', '"format": 0'))
-    with pytest.raises(InputError, match=r"has format 0 .* this version reads format 1"):
-        load_network(tmp_path / "weights")
-
-
-def test_a_folder_without_a_checkpoint_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"no checkpoint folder .*; train one .* \['kinova_gen3',"):
-        load_network(tmp_path / "missing")
-    with pytest.raises(InputError, match="is damaged or no checkpoint"):
-        load_network(tmp_path)
-
-
-def test_saving_again_replaces_the_weights(network, tmp_path):
-    save_network(tmp_path / "weights", network, {"run": 1})
-    other = GuidanceNetwork(channels=8, rngs=nnx.Rngs(2))
-    save_network(tmp_path / "weights", other, {"run": 2})
-    assert read_metadata(tmp_path / "weights")["training"] == {"run": 2}
-    loaded = load_network(tmp_path / "weights")
-    np.testing.assert_array_equal(loaded.gat_weight.kernel[...], other.gat_weight.kernel[...])
-    shutil.rmtree(tmp_path / "weights")

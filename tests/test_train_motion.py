@@ -18,7 +18,7 @@ from gnnjax.train_motion import (
     motion_sampler,
     train_motion,
 )
-from gnnjax.training.checkpoint import load_network, read_metadata
+from gnnjax.training.weights import load_network, read_metadata
 from tests.fine_scan import collides_anywhere
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -53,11 +53,11 @@ def test_a_run_learns_logs_and_leaves_weights(finished):
     assert found[-1]["loss"] < found[0]["loss"]
     assert all(0 <= record["edge_auc_tiny"] <= 1 for record in found)
     assert found[-1]["edge_auc_tiny"] > 0.6
-    meta = read_metadata(finished.out / "weights")
+    meta = read_metadata(finished.out / "weights.safetensors")
     assert meta["network"] == "MotionNetwork"
     assert meta["model"] == {"num_points": 3, "channels": 8}
     assert meta["training"]["steps"] == 24
-    assert isinstance(load_network(finished.out / "weights"), MotionNetwork)
+    assert isinstance(load_network(finished.out / "weights.safetensors"), MotionNetwork)
 
 
 def test_a_resumed_run_comes_to_the_same_numbers(finished, tmp_path, monkeypatch):
@@ -82,7 +82,7 @@ def test_a_resumed_run_comes_to_the_same_numbers(finished, tmp_path, monkeypatch
     train_motion(dataclasses.replace(config, resume=True))
     assert records(config) == records(finished)
     weights = [
-        jax.tree.leaves(nnx.state(load_network(c.out / "weights"), nnx.Param))
+        jax.tree.leaves(nnx.state(load_network(c.out / "weights.safetensors"), nnx.Param))
         for c in (config, finished)
     ]
     for ours, theirs in zip(*weights, strict=True):

@@ -19,7 +19,7 @@ from gnnjax.scene.scene import Scene
 from gnnjax.search.greedy import Scorer, greedy_search
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search
-from gnnjax.training.checkpoint import default_weights, load_network_as
+from gnnjax.training.weights import default_weights, load_network_as
 
 
 def network_scorer(network: GuidanceNetwork, encoding: Encoding, roadmap: Roadmap) -> Scorer:

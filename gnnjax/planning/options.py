@@ -46,7 +46,8 @@ class PlannerOptions:
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up; 1 is the paper's way."""
     weights: Path | None = None
-    """Checkpoint of the network, or name of shipped weights; by default those for the planner."""
+    """File of weights, folder of a checkpoint, or name of shipped weights; by default those for the
+    planner."""
     shorten: bool = True
     """Shorten paths before they are checked; for guided alone."""
     sampled: bool = False

@@ -101,7 +101,7 @@ def make_planner(
 
 def _motion_guide(robot: Robot, options: PlannerOptions) -> Guide:
     from gnnjax.guide.motion import MotionNetwork, motion_guide
-    from gnnjax.training.checkpoint import load_network_as
+    from gnnjax.training.weights import load_network_as
 
     weights = "motion" if options.weights is None else options.weights
     return motion_guide(robot, load_network_as(MotionNetwork, weights, "guided"))

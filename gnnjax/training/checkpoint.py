@@ -1,17 +1,12 @@
-"""Weights on disk: an Orbax folder with the network's weights, and how they came about.
-
-A checkpoint of a training run has the same form, with the state of the optimizer beside the
-weights, so that either can be planned with.
-"""
+"""Checkpoints of training runs, by Orbax: weights, optimizer and settings, to go on with."""
 
 import errno
-import importlib.metadata
 import json
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,148 +15,18 @@ import tensorstore
 from flax import nnx
 
 from gnnjax.errors import InputError
-from gnnjax.guide.motion import MotionNetwork
-from gnnjax.paper.network import GuidanceNetwork
-
-Network: TypeAlias = GuidanceNetwork | MotionNetwork
-_KINDS: dict[str, type[Network]] = {
-    kind.__name__: kind for kind in (GuidanceNetwork, MotionNetwork)
-}
-
-_LOADED_BY = {"GuidanceNetwork": "'gnn' and 'gnn_lazy'", "MotionNetwork": "'guided'"}
-_Kind = TypeVar("_Kind", bound=nnx.Module)
-
-# Of what is stored; raised when an older reader could no longer make sense of it.
-FORMAT = 1
+from gnnjax.training.weights import metadata, read_metadata
 
 
-def find_weights(weights: str | Path) -> Path:
-    """The folder of a checkpoint: a path, or the name of weights that come with the package.
-
-    Raises:
-        InputError: there is neither.
-    """
-    shipped = Path(__file__).parents[1] / "weights"
-    for folder in (Path(weights), shipped / weights):
-        if folder.is_dir():
-            return folder
-    known = sorted(folder.name for folder in shipped.iterdir() if folder.is_dir())
-    raise InputError(
-        f"no checkpoint folder {str(weights)!r}; train one (python -m gnnjax.train), or name one "
-        f"of {known}"
-    )
+def checkpoint_metadata(folder: Path) -> Any:
+    """What a checkpoint says of itself, unchecked."""
+    return _restore(folder.resolve(), meta=ocp.args.JsonRestore())["meta"]
 
 
-def default_weights(robot: str) -> Path:
-    """The shipped guidance network for a robot: its own, or the Kuka's, which serves others."""
-    shipped = Path(__file__).parents[1] / "weights"
-    return shipped / (robot if (shipped / robot).is_dir() else "kuka_iiwa14")
-
-
-def metadata(network: Network, training: dict[str, Any]) -> dict[str, Any]:
-    """What a checkpoint says of itself: enough to rebuild the network without being told anything.
-
-    Args:
-        network: whose constructor arguments are kept.
-        training: the configuration of the run, as JSON.
-    """
-    version = importlib.metadata.version("gnnjax")
-    return {
-        "format": FORMAT,
-        "version": version,
-        "network": type(network).__name__,
-        "model": network.config,
-        "training": training,
-    }
-
-
-def save_network(folder: str | Path, network: Network, training: dict[str, Any]) -> None:
-    """Writes the weights of a network; replaces the folder only when all is written.
-
-    Args:
-        folder: of the checkpoint.
-        network: what to keep.
-        training: the configuration of the run and its results, as JSON.
-    """
-    folder = Path(folder).resolve()
-    # Orbax would remove the old folder before it writes the new one.
-    new, old = (folder.with_name(f".{folder.name}-{age}") for age in ("new", "old"))
-    weights = nnx.to_pure_dict(nnx.state(network, nnx.Param))
-    items = ocp.args.Composite(
-        weights=ocp.args.StandardSave(weights),
-        meta=ocp.args.JsonSave(metadata(network, training)),
-    )
-    with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
-        _write(folder, weights, lambda: checkpointer.save(new, args=items, force=True))
-    if folder.exists():
-        shutil.rmtree(old, ignore_errors=True)
-        folder.rename(old)
-    new.rename(folder)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def read_metadata(folder: str | Path) -> dict[str, Any]:
-    """Reads and checks what a checkpoint says of itself.
-
-    Raises:
-        InputError: no checkpoint, a damaged one, or one of another format.
-    """
-    folder = Path(folder).resolve()
-    if not folder.is_dir():
-        raise InputError(f"no checkpoint folder {str(folder)!r}; train one: python -m gnnjax.train")
-    meta = _restore(folder, meta=ocp.args.JsonRestore())["meta"]
-    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
-        found = meta.get("format") if isinstance(meta, dict) else meta
-        version = meta.get("version", "unknown") if isinstance(meta, dict) else "unknown"
-        raise InputError(
-            f"checkpoint {str(folder)!r} has format {found!r} (gnnjax {version}), this version "
-            f"reads format {FORMAT}; train again, or install the version that wrote it"
-        )
-    return meta
-
-
-def load_network(weights: str | Path) -> Network:
-    """Rebuilds a network from its checkpoint.
-
-    Args:
-        weights: folder of a checkpoint, or the name of shipped weights.
-
-    Raises:
-        InputError: no checkpoint, a damaged one, or one of another format.
-    """
-    folder = find_weights(weights).resolve()
-    meta = read_metadata(folder)
-    try:
-        # Shapes alone: drawing initial weights to throw them away takes seconds.
-        # Checkpoints that do not say are older than the second kind.
-        kind = _KINDS[meta.get("network", GuidanceNetwork.__name__)]
-        blank = nnx.eval_shape(lambda: kind(**meta["model"], rngs=nnx.Rngs(0)))
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"checkpoint {str(folder)!r} describes no network of this version ({error}); "
-            "train again"
-        ) from None
-    graphdef, shapes = nnx.split(blank)
-    target = _on_this_device(nnx.to_pure_dict(shapes))
-    weights = _restore(folder, weights=ocp.args.StandardRestore(target))["weights"]
-    nnx.replace_by_pure_dict(shapes, weights)
-    return nnx.merge(graphdef, shapes)
-
-
-def load_network_as(kind: type[_Kind], weights: str | Path, planner: str) -> _Kind:
-    """`load_network` for a planner that takes one kind of network.
-
-    Raises:
-        InputError: another kind; says which, and what loads it.
-    """
-    network = load_network(weights)
-    if not isinstance(network, kind):
-        others = _LOADED_BY[type(network).__name__]
-        raise InputError(
-            f"planner {planner!r} takes a {kind.__name__}, and {str(weights)!r} is a "
-            f"{type(network).__name__}, for {others}; name other weights or another planner"
-        )
-    return network
+def restore_weights(folder: Path, shapes: Any) -> Any:
+    """The weights of a checkpoint alone, as arrays of the given shapes."""
+    target = _on_this_device(shapes)
+    return _restore(folder.resolve(), weights=ocp.args.StandardRestore(target))["weights"]
 
 
 def _on_this_device(shapes: Any) -> Any:
@@ -179,7 +44,7 @@ class TrainingCheckpoints:
         settings: of the run, as JSON; a run goes on only with the same ones.
     """
 
-    def __init__(self, folder: str | Path, network: Network, settings: dict[str, Any]):
+    def __init__(self, folder: str | Path, network: nnx.Module, settings: dict[str, Any]):
         self.folder = Path(folder).resolve()
         self._meta = metadata(network, settings)
         options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)
