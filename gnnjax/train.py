@@ -281,9 +281,8 @@ def train(config: TrainConfig) -> Path:
             write_log(log, records)
             _append_event(events, record, (epoch + 1) * steps_an_epoch)
     nnx.update(network, state.weights)
-    save_network(
-        config.out / "weights.safetensors", network, {**_settings(config), "log": records[-1:]}
-    )
+    weights = config.out / "weights.safetensors"
+    save_network(weights, network, {**_settings(config), "log": records[-1:]})
     print(f"weights in {weights}")
     return weights
 
