@@ -1,4 +1,7 @@
-"""gnnjax: learned, batched motion planning for robot arms in JAX and MuJoCo."""
+"""gnnjax: guided, batched motion planning for robot arms in JAX and MuJoCo.
+
+The blocks of the paper that it starts from are in `gnnjax.paper`.
+"""
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
@@ -6,10 +9,8 @@ from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import Checker, EdgeChecks, boxes_clear, make_checker
 from gnnjax.errors import InputError
 from gnnjax.guide.guide import Guide, Prices
-from gnnjax.guide.motion import MotionNetwork
-from gnnjax.paper.graphs import graphs_tuple
-from gnnjax.paper.network import GuidanceNetwork
-from gnnjax.planning.options import PLANNERS, PlannerOptions
+from gnnjax.guide.motion import MotionNetwork, motion_guide
+from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner, load_planner, make_planner
 from gnnjax.planning.query import Plan
 from gnnjax.planning.strategy import Strategy
@@ -24,6 +25,7 @@ from gnnjax.problems.problem import (
 from gnnjax.roadmap.graph import Roadmap, connect, default_radius
 from gnnjax.roadmap.paths import Labels, cost_to_go, edge_validity, label_roadmap
 from gnnjax.roadmap.sampled import Samples, sample_free, sample_roadmap
+from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.scene import (
     Scene,
     make_scene,
@@ -38,11 +40,9 @@ from gnnjax.search.lazy import lazy_search
 from gnnjax.training.weights import load_network, save_network
 
 __all__ = [
-    "PLANNERS",
     "Checker",
     "EdgeChecks",
     "FamilyProblem",
-    "GuidanceNetwork",
     "Guide",
     "InputError",
     "Labels",
@@ -68,7 +68,6 @@ __all__ = [
     "default_radius",
     "edge_validity",
     "forward_kinematics",
-    "graphs_tuple",
     "greedy_search",
     "label_roadmap",
     "lazy_search",
@@ -79,6 +78,7 @@ __all__ = [
     "make_checker",
     "make_planner",
     "make_scene",
+    "motion_guide",
     "pad_scene",
     "sample_family_problem",
     "sample_free",
@@ -89,4 +89,5 @@ __all__ = [
     "save_problems",
     "scene_from_json",
     "scene_to_json",
+    "stored_roadmap",
 ]

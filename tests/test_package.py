@@ -3,6 +3,8 @@
 import ast
 import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -31,18 +33,80 @@ def test_files_that_the_texts_name_exist():
             assert (ROOT / target).exists(), f"{text.name} names {target}"
 
 
+# Imports go down this list only.
+ORDER = """
+errors devices
+arm.mjcf arm.robot arm.kinematics arm.fit
+scene.scene scene.mujoco_world
+collision.geometry collision.mjx collision.checker collision.certify
+roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
+guide.guide guide.view guide.motion
+search.knowledge search.greedy search.lazy search.shorten search.guided
+problems.problem problems.families problems.family_problem
+planning.options planning.query planning.strategy planning.engine planning.planner
+training.weights training.checkpoint
+paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
+baselines.ledger baselines.ompl
+generate paper.losses train train_motion evaluate plot plan fit
+""".split()
+# Imported up the list, inside of functions: by name, when somebody asks for it.
+LAZY = {
+    ("planning.planner", "training.weights"),
+    ("planning.planner", "paper"),
+    ("planning.planner", "baselines.ompl"),
+    ("training.weights", "training.checkpoint"),
+}
+
+
+def imports_of(module):
+    """Modules of the package that a module imports, and whether inside of a function."""
+    path = ROOT / "gnnjax" / f"{module.replace('.', '/')}.py"
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gnnjax"):
+            used = node.module.removeprefix("gnnjax").removeprefix(".")
+            if used in ORDER:
+                yield used, node not in tree.body
+            else:  # a wing, of which modules are imported
+                for alias in node.names:
+                    inside = f"{used}.{alias.name}"
+                    yield (
+                        (inside if inside in ORDER and node in tree.body else used),
+                        (node not in tree.body),
+                    )
+
+
 def test_no_module_imports_one_that_comes_after_it():
-    order = (
-        "errors mjcf robot kinematics geometry scene world collision mjx_backend certify sampling "
-        "roadmap labels problem workspace validity occupancy encoding model motion checkpoint "
-        "search shorten stored guided compilation query guided_planner planner ledger classical "
-        "families family_problem generate losses train train_motion evaluate plot plan"
-    ).split()
-    modules = {path.stem for path in (ROOT / "gnnjax").glob("*.py")} - {"__init__"}
-    assert modules == set(order)
-    for module in order:
-        tree = ast.parse((ROOT / "gnnjax" / f"{module}.py").read_text())
-        for node in tree.body:
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gnnjax."):
-                used = node.module.removeprefix("gnnjax.")
-                assert order.index(used) < order.index(module), f"{module} imports {used}"
+    package = ROOT / "gnnjax"
+    found = {
+        ".".join(path.relative_to(package).with_suffix("").parts)
+        for path in package.rglob("*.py")
+        if path.name != "__init__.py"
+    }
+    assert found == set(ORDER)
+    lazy = set()
+    for module in ORDER:
+        for used, inside in imports_of(module):
+            if inside:
+                lazy.add((module, used))
+            else:
+                assert ORDER.index(used) < ORDER.index(module), f"{module} imports {used}"
+    up = {
+        pair for pair in lazy if pair[1] not in ORDER or ORDER.index(pair[1]) > ORDER.index(pair[0])
+    }
+    assert up == LAZY
+
+
+GUESTS = ("gnnjax.paper", "gnnjax.baselines", "jraph", "orbax", "tensorboardX", "scipy.stats")
+
+
+def test_planning_with_the_default_planner_loads_neither_the_paper_nor_its_libraries(tiny_path):
+    code = f"""
+import sys, gnnjax
+planner = gnnjax.load_planner({str(tiny_path)!r}, max_roadmaps=1)
+planner.plan(gnnjax.make_scene([], []), [0.5, 0, 0], [-0.5, 0, 0])
+print(*sorted(name for name in sys.modules if name.startswith({GUESTS!r})))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == ""

@@ -125,7 +125,7 @@ def _robot_from_model(model: mujoco.MjModel, path: Path) -> Robot:
     if not len(geom_ids):
         raise InputError(
             f"{str(path)!r} has no collision geometry; give the robot's geoms "
-            'contype="1" conaffinity="1" (experiments/fit_collision.py fits spheres to link hulls)'
+            'contype="1" conaffinity="1" (python -m gnnjax.fit fits spheres to link hulls)'
         )
     axes = np.zeros((len(geom_ids), 3))
     for row, g in enumerate(geom_ids):
@@ -202,7 +202,7 @@ def require_round_geoms(robot: Robot) -> None:
             name = robot.mj_model.geom(g).name or f"number {g}"
             raise InputError(
                 f"collision geom {name} of {robot.name} is neither sphere nor capsule; cover it "
-                "with spheres (experiments/fit_collision.py does)"
+                "with spheres (python -m gnnjax.fit does)"
             )
 
 

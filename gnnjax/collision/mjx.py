@@ -46,7 +46,7 @@ def mjx_functions(
     except (NotImplementedError, ValueError) as error:
         raise InputError(
             f"MJX cannot collide {robot.name}: {str(error).strip()}; cover its geoms with spheres "
-            "(experiments/fit_collision.py does)"
+            "(python -m gnnjax.fit does)"
         ) from None
     _, box_geoms, mocaps = obstacles(world, max_boxes)
     far = np.array([[FAR_AWAY, 0.0, i] for i in range(max_boxes)]).reshape(max_boxes, 3)

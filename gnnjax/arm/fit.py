@@ -1,65 +1,24 @@
-"""Fits collision spheres to the convex hulls of an arm's links.
-
-    python -m experiments.fit_collision --hulls tests/data/kuka_iiwa14_hulls.npz \
-        --out assets/kuka_iiwa14.xml --base link_0
+"""Collision spheres fitted to the convex hulls of links.
 
 The hull of each link, as a volume, lies in the union of that link's spheres, and no sphere reaches
-further than `max_overshoot` out of the hull. Under these two conditions the number of spheres is
-made as small as a search of `seconds` finds, because a planner's speed is proportional to it.
+further than a given overshoot out of the hull. Under these two conditions the number of spheres is
+made as small as a search of some seconds finds, because a planner's speed is proportional to it.
 
 A sphere whose center lies `depth` inside the hull reaches exactly `radius - depth` out of it: the
 ball of radius `depth` touches the nearest face, and no point of the larger ball is further from the
-smaller one. So each center has one largest radius, `depth + max_overshoot`, and what is left is to
+smaller one. So each center has one largest radius, `depth + overshoot`, and what is left is to
 place the centers. A greedy set cover gives the first solution. Then spheres are taken away one by
 one, and the rest is moved until it covers all points again.
 """
 
-import dataclasses
-import json
-import re
 import time
-from pathlib import Path
 
 import numpy as np
-import tyro
 from scipy.spatial import ConvexHull
 
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError
 
 MARGIN = 1.5e-4  # m by which samples are covered: pays for rounding to 0.1 mm
-
-
-@dataclasses.dataclass(frozen=True)
-class FitConfig:
-    """Fit collision spheres to link hulls."""
-
-    hulls: Path
-    """An .npz with the hull vertices [V, 3] of each link, in m, under the link's name."""
-
-    out: Path
-    """Output: .json for the numbers, or an existing MJCF (.xml) whose geoms of class "collision"
-    are replaced in the bodies that bear the links' names (see `write_mjcf`)."""
-
-    max_overshoot: float = 0.025
-    """How far a sphere may reach out of its link's hull, in m."""
-
-    base: str = ""
-    """A link that does not move, and may overshoot by `base_overshoot` to need fewer spheres."""
-
-    base_overshoot: float = 0.04
-    """The same limit for the base, in m."""
-
-    spacing: float = 0.002
-    """No point of a hull's surface is further than this from a sample, in m. All samples end up
-    inside the spheres, so nothing sticks out by more than this, and far less in practice."""
-
-    seconds: float = 60.0
-    """Time for the search, for each link."""
-
-    links: tuple[str, ...] = ()
-    """Fit these links only (all of them if empty)."""
-
-    seed: int = 0
 
 
 class Hull:
@@ -165,11 +124,21 @@ def move_centers(
     return None
 
 
-def fit_link(hull: Hull, overshoot: float, config: FitConfig) -> np.ndarray:
-    """Spheres [S, 4] (center and radius, in m, the largest first) that enclose a hull."""
-    rng = np.random.default_rng(config.seed)
+def fit_link(
+    hull: Hull, overshoot: float, *, spacing: float, seconds: float, seed: int
+) -> np.ndarray:
+    """Spheres [S, 4] (center and radius, in m, the largest first) that enclose a hull.
+
+    Args:
+        hull: of one link.
+        overshoot: how far a sphere may reach out of it, m.
+        spacing: of the samples on its surface, m.
+        seconds: for the search.
+        seed: of its random numbers.
+    """
+    rng = np.random.default_rng(seed)
     start = time.monotonic()
-    fine = np.concatenate([hull.surface(config.spacing), hull.interior(2.0 * config.spacing)])
+    fine = np.concatenate([hull.surface(spacing), hull.interior(2.0 * spacing)])
     points = np.concatenate([hull.surface(0.007), hull.interior(0.014)])
     best, centers, attempt = None, greedy_centers(hull, points, overshoot, rng), 0
     while True:
@@ -184,7 +153,7 @@ def fit_link(hull: Hull, overshoot: float, config: FitConfig) -> np.ndarray:
                     centers = greedy_centers(hull, points, overshoot, rng)
                 continue
             best, attempt = centers, 0
-        if (time.monotonic() - start > config.seconds and best is not None) or len(best) == 1:
+        if (time.monotonic() - start > seconds and best is not None) or len(best) == 1:
             return shrink(hull, fine, best, overshoot)
         # Take away the sphere that covers least alone, or now and then another one.
         inside = gaps(points, best, hull.depth(best) + overshoot) <= 0
@@ -213,65 +182,3 @@ def describe(hull: Hull, spheres: np.ndarray, spacing: float) -> tuple[float, fl
     points = np.concatenate([hull.surface(spacing / 2), hull.interior(2.0 * spacing)])
     out = gaps(points, spheres[:, :3], spheres[:, 3]).min(axis=1).max()
     return float(max(out, 0.0)), float((spheres[:, 3] - hull.depth(spheres[:, :3])).max())
-
-
-def write_mjcf(path: Path, spheres: dict[str, np.ndarray]) -> None:
-    """Replaces the collision geoms of an MJCF, line by line, so that all the rest stays as it is.
-
-    Each body needs its name on the line of its `<body` tag and an `<inertial .../>` of one line;
-    the spheres come after that. A default class "collision" has to make them spheres.
-    """
-    lines, current, done = [], "", set()
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if match := re.search(r'<body name="([^"]+)"', line):
-            current = match[1]
-        if re.search(r'<geom class="collision"', line) and current in spheres:
-            continue
-        lines.append(line)
-        if "<inertial" in line and current in spheres:
-            indent = line[: len(line) - len(line.lstrip())]
-            lines += [
-                f'{indent}<geom class="collision" pos="{x:.4f} {y:.4f} {z:.4f}" size="{r:.4f}"/>'
-                for x, y, z, r in spheres[current]
-            ]
-            done.add(current)
-    if missing := sorted(set(spheres) - done):
-        raise InputError(f"no <body> with an <inertial/> for {missing} in {str(path)!r}")
-    atomic_write(path, lambda part: part.write_text("\n".join(lines) + "\n", encoding="utf-8"))
-
-
-def fit(config: FitConfig) -> dict[str, np.ndarray]:
-    """Fits all links, prints a table and writes the spheres."""
-    if not config.hulls.is_file():
-        raise InputError(f"no hulls at {str(config.hulls)!r}; give an .npz of hull vertices")
-    with np.load(config.hulls) as data:
-        vertices = {
-            name: data[name].astype(np.float64)
-            for name in data.files
-            if data[name].ndim == 2 and not name.endswith("__surface")
-        }
-    if unknown := sorted(({*config.links, config.base} - {""}) - set(vertices)):
-        raise InputError(f"no link {unknown} in {str(config.hulls)!r}; there are {list(vertices)}")
-    spheres = {}
-    print(f"{'link':24} spheres  sticks out [mm]  overshoot [mm]")
-    for name in config.links or tuple(vertices):
-        hull = Hull(vertices[name])
-        overshoot = config.base_overshoot if name == config.base else config.max_overshoot
-        spheres[name] = fit_link(hull, overshoot, config)
-        out, over = describe(hull, spheres[name], config.spacing)
-        print(f"{name:24} {len(spheres[name]):7} {1e3 * out:16.2f} {1e3 * over:15.1f}", flush=True)
-    print(f"{'all':24} {sum(map(len, spheres.values())):7}")
-    if config.out.suffix == ".xml":
-        write_mjcf(config.out, spheres)
-    else:
-        text = json.dumps({name: found.tolist() for name, found in spheres.items()}, indent=1)
-        atomic_write(config.out, lambda part: part.write_text(text + "\n", encoding="utf-8"))
-    return spheres
-
-
-def main() -> None:
-    fit(tyro.cli(FitConfig))
-
-
-if __name__ == "__main__":
-    run_command(main)
