@@ -164,7 +164,8 @@ def test_the_guided_planner_is_warm_before_it_is_timed(
     planner.warm_up(query)
     compiled = planner._compiled(True, query.scene.mask.shape[-1])
     sizes = [f._cache_size() for f in compiled]
-    assert sizes == ([1, 1, 2, 1] if case.shorten else [1, 0, 1, 0])
+    # On sampled roadmaps the later ones are made like the first.
+    assert sizes == ([1, 1, 2, 1] if case.shorten else [1, 1, 1, 0])
     found = evaluate(case, planner)
     assert [f._cache_size() for f in compiled] == sizes
     assert found["summary"]["all"]["certified"] > 0

@@ -21,8 +21,7 @@ from gnnjax.guide.motion import MotionNetwork, motion_guide
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.planning.options import PlannerOptions, make_options
-from gnnjax.planning.planner import Planner, load_planner
-from gnnjax.planning.strategy import guided
+from gnnjax.planning.planner import Planner, load_planner, make_planner
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.stored import insert_ends, stored_roadmap
 from gnnjax.scene.scene import make_scene
@@ -56,7 +55,7 @@ def planner(robot, network):
 
 def make(robot, network, **options):
     options = make_options("guided", **{"num_nodes": NUM_NODES, "max_roadmaps": 2, **options})
-    return Planner(robot, guided(robot, motion_guide(robot, network), options), options)
+    return make_planner(robot, options, motion_guide(robot, network))
 
 
 def with_options(planner, **changes):

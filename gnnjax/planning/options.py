@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -55,8 +55,9 @@ class PlannerOptions:
     roadmaps; for guided alone."""
     simplify: bool = False
     """Let OMPL simplify the path that its planner found; not for our own planners."""
-    checker: Literal["fused", "mjx", "mujoco"] = "fused"
-    """Collision backend; mujoco, MuJoCo's C engine, is for the planners of OMPL."""
+    checker: str = "fused"
+    """Collision backend: fused, mjx, or, for the planners of OMPL alone, mujoco, which is MuJoCo's
+    C engine."""
     resolution: float = EDGE_RESOLUTION
     """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
     time_limit: float = np.inf
@@ -78,6 +79,8 @@ def make_options(planner: str, **options: Any) -> PlannerOptions:
     unknown = sorted(options.keys() - set(known))
     if unknown:
         raise InputError(f"no option {unknown[0]!r} of a planner; there are {known}")
+    if options.get("weights") is not None:
+        options["weights"] = Path(options["weights"])
     return PlannerOptions(planner=planner, **options)
 
 
