@@ -182,12 +182,12 @@ class TrainingCheckpoints:
         """The epoch of the last checkpoint."""
         return self._manager.latest_step()
 
-    def save(self, epoch: int, state: Any) -> None:
-        """Writes `state` (weights, optimizer) after an epoch."""
+    def save(self, epoch: int, state: Any, log: list[dict[str, Any]]) -> None:
+        """Writes `state` (weights, optimizer) after an epoch, and the log so far."""
         items = ocp.args.Composite(
             weights=ocp.args.StandardSave(nnx.to_pure_dict(state.weights)),
             optimizer=ocp.args.StandardSave(_by_number(state.optimizer)),
-            meta=ocp.args.JsonSave(self._meta),
+            meta=ocp.args.JsonSave({**self._meta, "log": log}),
         )
         _write(
             self.folder / str(epoch),
@@ -195,15 +195,15 @@ class TrainingCheckpoints:
             lambda: self._manager.save(epoch, args=items, force=True),
         )
 
-    def restore(self, state: Any) -> tuple[int, Any]:
-        """The last epoch written, and `state` as it was then.
+    def restore(self, state: Any) -> tuple[int, Any, list[dict[str, Any]] | None]:
+        """The last epoch written, and `state` and the log (None: not kept) as they were then.
 
         Raises:
             InputError: there is none, it is damaged, or it is of a run with other settings.
         """
         epoch = self.latest()
         if epoch is None:
-            raise InputError(f"no checkpoint in {str(self.folder)!r}; start without --resume")
+            raise InputError(f"no checkpoint in {str(self.folder)!r}; train one first")
         folder = self.folder / str(epoch)
         meta = read_metadata(folder)
         ours, theirs = json.loads(json.dumps(self._meta["training"])), meta["training"]
@@ -225,7 +225,7 @@ class TrainingCheckpoints:
         restored = jax.tree.map(lambda x: x, state.weights)
         nnx.replace_by_pure_dict(restored, items["weights"])
         optimizer = jax.tree.unflatten(structure, leaves)
-        return epoch, state._replace(weights=restored, optimizer=optimizer)
+        return epoch, state._replace(weights=restored, optimizer=optimizer), meta.get("log")
 
 
 def _by_number(state: Any) -> dict[str, jax.Array]:

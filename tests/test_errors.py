@@ -6,7 +6,8 @@ import os
 import jax
 import pytest
 
-from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
+from gnnjax.errors import InputError, check_seed, run_command
+from gnnjax.files import atomic_write, check_target
 
 
 def test_a_full_disk_leaves_the_old_file_and_no_rest(tmp_path, monkeypatch, capsys):

@@ -214,7 +214,7 @@ def test_a_run_that_began_before_an_option_was_there_goes_on(network, tmp_path):
     weights = nnx.state(network, nnx.Param)
     state = TrainState(weights, make_optimizer(PRESETS["smoke"], 10).init(weights))
     with TrainingCheckpoints(tmp_path, network, {"seed": 0}) as checkpoints:
-        checkpoints.save(1, state)
+        checkpoints.save(1, state, [])
     with TrainingCheckpoints(tmp_path, network, {"seed": 0, "without": ()}) as checkpoints:
         assert checkpoints.restore(state)[0] == 1
     settings = {"seed": 0, "without": ("gat",)}
@@ -247,9 +247,9 @@ def test_the_state_of_every_optimizer_is_kept(network, tmp_path, name):
     optimizer = make_optimizer(dataclasses.replace(PRESETS["smoke"], optimizer=name), 10)
     state = TrainState(weights, jax.tree.map(lambda x: x + 1, optimizer.init(weights)))
     with TrainingCheckpoints(tmp_path, network, {}) as checkpoints:
-        checkpoints.save(3, state)
-        epoch, restored = checkpoints.restore(TrainState(weights, optimizer.init(weights)))
-    assert epoch == 3
+        checkpoints.save(3, state, [{"epoch": 3}])
+        epoch, restored, log = checkpoints.restore(TrainState(weights, optimizer.init(weights)))
+    assert (epoch, log) == (3, [{"epoch": 3}])
     assert jax.tree.structure(restored) == jax.tree.structure(state)
     for ours, theirs in zip(*map(jax.tree.leaves, (restored, state)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -301,7 +301,7 @@ def test_a_full_disk_leaves_the_checkpoints_there_are(network, tmp_path, monkeyp
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
     with TrainingCheckpoints(tmp_path / "run", network, {}) as checkpoints:
         for write in (
-            lambda: checkpoints.save(1, state),
+            lambda: checkpoints.save(1, state, []),
             lambda: save_network(tmp_path / "weights", network, {"run": 2}),
         ):
             with pytest.raises(OSError, match=r"No space left on device: .*(run/1|weights)'"):
