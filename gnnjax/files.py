@@ -1,6 +1,7 @@
 """Files that are never half written, and a lock for what one command writes at a time."""
 
 import contextlib
+import math
 import os
 import re
 import shlex
@@ -8,8 +9,12 @@ import socket
 import sys
 import tempfile
 import time
+import warnings
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+
+import numpy as np
 
 from gnnjax.errors import InputError
 
@@ -102,6 +107,56 @@ def locked(path: str | Path) -> Iterator[None]:
 def is_leftover(name: str) -> bool:
     """Whether a file is called as `atomic_write` and `locked` call theirs."""
     return re.fullmatch(r"\..*(\.part-[a-z0-9_]{8}(\..*)?|\.lock)", name) is not None
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Reads all arrays of a problem file, an `.npz` without pickles.
+
+    Raises:
+        InputError: no such file, or something in it is no array.
+    """
+    name = None
+    arrays = {}
+    try:
+        # Not np.load, which takes any other file for a pickle and advises to trust it.
+        with open(path, "rb") as stream, zipfile.ZipFile(stream) as archive:
+            for entry in archive.infolist():
+                name = entry.filename.removesuffix(".npy")
+                arrays[name] = _read_array(archive, entry)
+    except FileNotFoundError:
+        raise InputError(f"no problem file {str(path)!r}; check the path") from None
+    except IsADirectoryError:
+        raise InputError(f"problem file {str(path)!r} is a folder; check the path") from None
+    except (PermissionError, MemoryError):
+        raise
+    except Exception as error:  # damaged archives raise nearly anything
+        part = "" if name is None else f"array {name!r} of "
+        raise InputError(
+            f"{part}{str(path)!r} cannot be read as a problem set (.npz without pickles): "
+            f"{error}; generate it again"
+        ) from None
+    return arrays
+
+
+def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
+    """Reads an array, for which memory is asked only if the file can fill it."""
+    with archive.open(entry) as file, warnings.catch_warnings():
+        warnings.simplefilter("error")  # of old or odd headers
+        try:
+            read = {
+                (1, 0): np.lib.format.read_array_header_1_0,
+                (2, 0): np.lib.format.read_array_header_2_0,
+            }[np.lib.format.read_magic(file)]
+            shape, _, dtype = read(file)
+        except (KeyError, MemoryError, RecursionError):  # what a header of brackets raises
+            raise ValueError("its header is no array's") from None
+        if dtype.hasobject:
+            raise ValueError("it holds Python objects")
+        promised, given = math.prod(shape) * dtype.itemsize, entry.file_size - file.tell()
+        if promised != given or min(shape, default=0) < 0:
+            raise ValueError(f"its header promises {promised} bytes, and there are {given}")
+        file.seek(0)
+        return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _open_temporary(path: Path) -> tuple[int, Path]:

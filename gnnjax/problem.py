@@ -4,10 +4,7 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import json
-import math
 import os
-import warnings
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from gnnjax.errors import InputError, brief
-from gnnjax.files import atomic_write
+from gnnjax.files import atomic_write, read_arrays
 from gnnjax.robot import Robot
 from gnnjax.sampling import sample_free
 from gnnjax.scene import Scene, box_bucket, pad_scene, sample_scene
@@ -266,7 +263,7 @@ def _load_shards(folder: Path, robot: Robot) -> ProblemSet:
 
 
 def _load_file(path: Path, robot: Robot) -> ProblemSet:
-    arrays = _read_arrays(path)
+    arrays = read_arrays(path)
     missing = [name for name in _NAMES if name not in arrays]
     if missing:
         raise InputError(f"problem file {str(path)!r} lacks {missing}; it needs {list(_NAMES)}")
@@ -297,51 +294,6 @@ def _load_file(path: Path, robot: Robot) -> ProblemSet:
     scene = pad_scene(jax.tree.map(lambda x: x[:, :most], scene), box_bucket(most))
     extras = {name: value for name, value in arrays.items() if name not in _NAMES}
     return ProblemSet(robot.name, Problem(start, goal, scene), extras)
-
-
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    name = None
-    arrays = {}
-    try:
-        # Not np.load, which takes any other file for a pickle and advises to trust it.
-        with open(path, "rb") as stream, zipfile.ZipFile(stream) as archive:
-            for entry in archive.infolist():
-                name = entry.filename.removesuffix(".npy")
-                arrays[name] = _read_array(archive, entry)
-    except FileNotFoundError:
-        raise InputError(f"no problem file {str(path)!r}; check the path") from None
-    except IsADirectoryError:
-        raise InputError(f"problem file {str(path)!r} is a folder; check the path") from None
-    except (PermissionError, MemoryError):
-        raise
-    except Exception as error:  # damaged archives raise nearly anything
-        part = "" if name is None else f"array {name!r} of "
-        raise InputError(
-            f"{part}{str(path)!r} cannot be read as a problem set (.npz without pickles): "
-            f"{error}; generate it again"
-        ) from None
-    return arrays
-
-
-def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
-    """Reads an array, for which memory is asked only if the file can fill it."""
-    with archive.open(entry) as file, warnings.catch_warnings():
-        warnings.simplefilter("error")  # of old or odd headers
-        try:
-            read = {
-                (1, 0): np.lib.format.read_array_header_1_0,
-                (2, 0): np.lib.format.read_array_header_2_0,
-            }[np.lib.format.read_magic(file)]
-            shape, _, dtype = read(file)
-        except (KeyError, MemoryError, RecursionError):  # what a header of brackets raises
-            raise ValueError("its header is no array's") from None
-        if dtype.hasobject:
-            raise ValueError("it holds Python objects")
-        promised, given = math.prod(shape) * dtype.itemsize, entry.file_size - file.tell()
-        if promised != given or min(shape, default=0) < 0:
-            raise ValueError(f"its header promises {promised} bytes, and there are {given}")
-        file.seek(0)
-        return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _check_shapes(path: Path, arrays: dict[str, np.ndarray], num_dof: int) -> None:

@@ -46,9 +46,8 @@ class TrainingRun(contextlib.ExitStack):
         super().__enter__()
         with contextlib.ExitStack() as stack:
             stack.enter_context(locked(self.out / "log.jsonl"))
-            self._checkpoints = stack.enter_context(
-                TrainingCheckpoints(self.out / "checkpoints", self._network, self._settings)
-            )
+            folder = self.out / "checkpoints"
+            self._checkpoints = TrainingCheckpoints(folder, self._network, self._settings)
             self.push(stack.pop_all())
         return self
 
