@@ -119,8 +119,8 @@ def read_metadata(folder: str | Path) -> dict[str, Any]:
         found = meta.get("format") if isinstance(meta, dict) else meta
         version = meta.get("version") if isinstance(meta, dict) else None
         raise InputError(
-            f"checkpoint {str(folder)!r} has format {brief(found)} (version {brief(version)}), this one "
-            f"reads format {FORMAT}; train again, or install the version that wrote it"
+            f"checkpoint {str(folder)!r} has format {brief(found)} (version {brief(version)}), "
+            f"this one reads format {FORMAT}; train again, or install the version that wrote it"
         )
     return meta
 
