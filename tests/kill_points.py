@@ -1,7 +1,7 @@
 """Kills commands before and after each file operation, resumes them, and compares what they write.
 
     python -m tests.kill_points                            # all points of all commands
-    python -m tests.kill_points --commands train --every 9
+    python -m tests.kill_points --commands train --points 30
     python -m tests.kill_points --random 50                # SIGKILL at random times instead
 
 A killed process leaves without a word, as after SIGKILL: nothing is flushed, closed or removed. The
@@ -211,9 +211,16 @@ def try_point(case: Case, point: int, folder: Path, at_s: float | None = None) -
 
 
 def try_command(
-    name: str, every: int = 1, offset: int = 0, times: int = 0, workers: int = 2
+    name: str, most: int | None = None, times: int = 0, workers: int = 2
 ) -> dict[str, Any]:
-    """Kills a command at each point, or at `times` random times; counts what became of it."""
+    """Kills a command and counts what became of it.
+
+    Args:
+        name: of the command.
+        most: points to try, spread evenly; by default all.
+        times: random times to try instead.
+        workers: processes that try points side by side.
+    """
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         case = undisturbed(name, folder / "first")
@@ -221,7 +228,9 @@ def try_command(
         if times:
             points = [(i, rng.uniform(0, case.seconds)) for i in range(times)]
         else:
-            points = [(i, None) for i in range(offset % every, 2 * case.operations, every)]
+            total = 2 * case.operations
+            num = min(total, most or total)
+            points = [((2 * i + 1) * total // (2 * num), None) for i in range(num)]
 
         def work(worker: int) -> None:
             with open(folder / f"worker{worker}", "w") as out:
@@ -257,13 +266,12 @@ def try_command(
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--commands", nargs="+", choices=list(COMMANDS), default=list(COMMANDS))
-    parser.add_argument("--every", type=int, default=1, help="try only each so-manieth point")
-    parser.add_argument("--offset", type=int, default=0, help="begin with this point")
+    parser.add_argument("--points", type=int, help="try so many, spread evenly; by default all")
     parser.add_argument("--random", type=int, default=0, help="random times instead of points")
     arguments = parser.parse_args()
     wrong = 0
     for name in arguments.commands:
-        found = try_command(name, arguments.every, arguments.offset, arguments.random)
+        found = try_command(name, arguments.points, arguments.random)
         print(
             f"{name}: {found['operations']} file operations, {found['tried']} points tried, "
             f"{found['killed']} killed, {found['equal']} equal after the resumed run",

@@ -93,11 +93,12 @@ def dump(value: Any) -> bytes:
 
 def mutate_text(rng: random.Random, text: str) -> str:
     """Changes numbers, names, attributes or tags of XML."""
-    kind = rng.randrange(8)
     numbers = [m.span() for m in re.finditer(r"(?<=[ \"])-?[\d.]+(?=[ \"])", text)]
     attributes = [m.span() for m in re.finditer(r' [a-z]+="[^"]*"', text)]
     tags = [m.span() for m in re.finditer(r"</?[a-z]+", text)]
     words = [m.span() for m in re.finditer(r'(?<=")[a-z]+(?=")', text)]
+    # What is left of a text after other changes may have nothing of a kind.
+    kind = rng.randrange(8) if all((numbers, attributes, tags, words)) else 7
     if kind <= 1:
         begin, end = rng.choice(numbers)
         return text[:begin] + rng.choice([*_ODD_NUMBERS, "", "1 2 3 4 5", "a"]) + text[end:]
@@ -121,7 +122,8 @@ def mutate_text(rng: random.Random, text: str) -> str:
         lines = text.split("\n")
         at = rng.randrange(len(lines))
         return "\n".join(lines[:at] + lines[at + 1 :] * rng.choice([1, 2]))
-    return mutate_bytes(rng, text.encode()).decode(errors="surrogateescape")
+    data = mutate_bytes(rng, text.encode(errors="surrogateescape"))
+    return data.decode(errors="surrogateescape")
 
 
 def _write(path: Path, data: bytes) -> None:
@@ -224,9 +226,9 @@ def _mutate_npz(rng: random.Random, good: Path, path: Path) -> None:
     elif kind == 7:
         entries[name] = mutate_bytes(rng, entries[name])
     else:
-        array = arrays["num_boxes"].astype(rng.choice(["i4", "i8", "u8"]))
+        array = arrays["num_boxes"].copy()
         array[rng.randrange(3)] = rng.choice([0, 10, 11, -1, 2**31 - 1])
-        entries["num_boxes.npy"] = _array_bytes(array)
+        entries["num_boxes.npy"] = _array_bytes(array.astype(rng.choice(["i4", "i8", "u8"])))
     path.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(path, "w") as archive:
         for entry, data in entries.items():
