@@ -38,8 +38,9 @@ from experiments.measure import (
     statistics,
 )
 from gnnjax.checkpoint import load_network, read_metadata
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.model import Part
 from gnnjax.train import PRESETS, TrainConfig, train

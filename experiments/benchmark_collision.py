@@ -36,7 +36,8 @@ import numpy as np
 import tyro
 
 from gnnjax.collision import boxes_clear, make_checker
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write
 from gnnjax.robot import Robot, load_robot
 from gnnjax.scene import Scene, sample_scene
 from gnnjax.world import build_world, place_boxes

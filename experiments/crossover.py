@@ -53,8 +53,9 @@ from experiments.price import (
 )
 from experiments.style import COLORS, label
 from gnnjax.collision import make_checker
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.problem import load_problems
 from gnnjax.robot import load_robot
 

@@ -13,8 +13,9 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.families import FAMILIES
+from gnnjax.files import atomic_write
 from gnnjax.generate import generate_labelled, problem_keys
 from gnnjax.problem import Problem
 from gnnjax.robot import Robot, load_robot

@@ -20,8 +20,9 @@ from experiments.cases import CLASSICAL, classical_case, own_case
 from experiments.measure import ExperimentConfig, measure, problem_set, save_results
 from experiments.style import COLORS, draw_bars
 from gnnjax.checkpoint import find_weights
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.planner import Method
 
 CLAIM = "A guide trained in R^7 saves collision checks and planning time in R^6."

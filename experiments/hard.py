@@ -34,9 +34,10 @@ from experiments.measure import (
 from experiments.style import draw_bars
 from gnnjax.certify import path_clearance
 from gnnjax.collision import EDGE_RESOLUTION
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.families import FAMILIES
+from gnnjax.files import atomic_write
 from gnnjax.problem import load_problems
 from gnnjax.robot import load_robot
 

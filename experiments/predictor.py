@@ -35,7 +35,8 @@ from experiments.benchmark_collision import operations
 from experiments.measure import ExperimentConfig, save_results
 from gnnjax.checkpoint import load_network
 from gnnjax.collision import EDGE_RESOLUTION, make_checker
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
+from gnnjax.files import atomic_write
 from gnnjax.generate import LabelledRoadmap, generate_labelled, problem_keys
 from gnnjax.motion import MotionNetwork, make_prices
 from gnnjax.robot import Robot, load_robot

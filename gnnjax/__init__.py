@@ -1,5 +1,6 @@
 """gnnjax: learned, batched motion planning for robot arms in JAX and MuJoCo."""
 
+import gnnjax.interruption  # noqa: F401  first: from here on a command can be interrupted
 from gnnjax.certify import certify_edges, certify_path
 from gnnjax.checkpoint import load_network, save_network
 from gnnjax.collision import Checker, EdgeChecks, boxes_clear, make_checker

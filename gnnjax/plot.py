@@ -9,7 +9,8 @@ from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from gnnjax.errors import InputError, atomic_write, check_target
+from gnnjax.errors import InputError
+from gnnjax.files import atomic_write, check_target
 from gnnjax.kinematics import forward_kinematics
 from gnnjax.robot import Robot
 from gnnjax.scene import Scene, rotation_matrices
