@@ -122,6 +122,8 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         with open(path, "rb") as stream, zipfile.ZipFile(stream) as archive:
             for entry in archive.infolist():
                 name = entry.filename.removesuffix(".npy")
+                if name in arrays:  # of two, one would be left out
+                    raise ValueError("it is there twice")
                 arrays[name] = _read_array(archive, entry)
     except FileNotFoundError:
         raise InputError(f"no problem file {str(path)!r}; check the path") from None
