@@ -132,7 +132,7 @@ def test_an_array_that_comes_twice_is_refused(tmp_path, robot):
     save_problems(tmp_path / "set.npz", random_set())
     with zipfile.ZipFile(tmp_path / "set.npz", "a") as archive:
         archive.writestr("num_boxes.npy", archive.read("num_boxes.npy"))
-    with pytest.raises(InputError, match="array 'num_boxes' of .*: it is there twice"):
+    with pytest.raises(InputError, match=r"array 'num_boxes' of .*: it is there twice"):
         load_problems(tmp_path / "set.npz", robot)
 
 
