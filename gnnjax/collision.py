@@ -92,7 +92,7 @@ def make_checker(
     elif backend == "mjx":
         from gnnjax.mjx_backend import mjx_functions
 
-        clearance, collision_free = mjx_functions(robot, max_boxes)
+        clearance, collision_free = mjx_functions(robot)
     else:
         raise InputError(f"no collision backend {backend!r}; there are 'fused' and 'mjx'")
     lower, upper = robot.joint_lower, robot.joint_upper
