@@ -123,7 +123,7 @@ def _run(closed: ClosedJaxpr, args: Sequence[np.ndarray]) -> list[np.ndarray]:
     def read(atom: Any) -> np.ndarray:
         return _objects(atom.val) if isinstance(atom, Literal) else values[atom]
 
-    for equation in closed.jaxpr.eqns:
+    for equation in _needed(closed):
         name, params = equation.primitive.name, equation.params
         inputs = [read(atom) for atom in equation.invars]
         if name in _CALLS:
@@ -140,6 +140,17 @@ def _run(closed: ClosedJaxpr, args: Sequence[np.ndarray]) -> list[np.ndarray]:
             raise NotImplementedError(f"no rule for the operation {name!r}")
         values.update(zip(equation.outvars, outputs, strict=True))
     return [read(atom) for atom in closed.jaxpr.outvars]
+
+
+def _needed(closed: ClosedJaxpr) -> list[Any]:
+    """The operations that the results depend on."""
+    wanted = {x for x in closed.jaxpr.outvars if not isinstance(x, Literal)}
+    kept = []
+    for equation in reversed(closed.jaxpr.eqns):
+        if not wanted.isdisjoint(equation.outvars):
+            wanted.update(x for x in equation.invars if not isinstance(x, Literal))
+            kept.append(equation)
+    return kept[::-1]
 
 
 def _each(rule: Callable[..., Any], *inputs: np.ndarray) -> np.ndarray:
