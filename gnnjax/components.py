@@ -12,7 +12,7 @@ import functools
 import itertools
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, SupportsIndex
 
 import jax
 import jax.numpy as jnp
@@ -167,8 +167,8 @@ def _along(x: np.ndarray, axis: int) -> list[np.ndarray]:
     return [np.take(x, [i], axis).squeeze(axis) for i in range(x.shape[axis])]
 
 
-def _reduce(rule: Callable[..., Any], x: np.ndarray, axes: Sequence[int]) -> np.ndarray:
-    for axis in sorted(axes, reverse=True):
+def _reduce(rule: Callable[..., Any], x: np.ndarray, axes: Sequence[SupportsIndex]) -> np.ndarray:
+    for axis in sorted(map(int, axes), reverse=True):
         x = functools.reduce(functools.partial(_each, rule), _along(x, axis))
     return x
 
@@ -185,9 +185,9 @@ def _dot_general(a: np.ndarray, b: np.ndarray, *, dimension_numbers, **_) -> np.
     return _reduce(_ARITHMETIC["add"], _each(_ARITHMETIC["mul"], a, b), [a.ndim - 1])
 
 
-def _arg_best(better: str, x: np.ndarray, *, axes: Sequence[int], **_) -> np.ndarray:
+def _arg_best(better: str, x: np.ndarray, *, axes: Sequence[SupportsIndex], **_) -> np.ndarray:
     (axis,) = axes
-    best, *others = _along(x, axis)
+    best, *others = _along(x, int(axis))
     found = _filled(best.shape, 0)
     for number, other in enumerate(others, start=1):
         wins = _each(_ARITHMETIC[better], other, best)  # of equals the first
@@ -196,39 +196,41 @@ def _arg_best(better: str, x: np.ndarray, *, axes: Sequence[int], **_) -> np.nda
     return found
 
 
-def _gather(operand, indices, *, dimension_numbers, slice_sizes, **_) -> np.ndarray:
-    # What lies outside is moved inside, whatever the mode: MuJoCo's indices never do.
+def _cut(x: np.ndarray, start: Sequence[Any], sizes: Sequence[SupportsIndex]) -> np.ndarray:
+    """A part of x; moved inside where it would leave x, as JAX's indices do unless told."""
+    for d, index in enumerate(start):
+        last = x.shape[d] - int(sizes[d])
+        if not _constant(index):
+            # Not known before it runs: all that it can be, and the choice among them.
+            parts = [_cut(x, [*start[:d], i, *start[d + 1 :]], sizes) for i in range(last + 1)]
+            chosen = parts[0]
+            for i, part in enumerate(parts[1:], start=1):
+                chosen = _each(functools.partial(_select, index >= i), part, chosen)
+            return chosen
+        start = [*start[:d], min(max(int(index), 0), last), *start[d + 1 :]]
+    return x[tuple(slice(i, i + int(n)) for i, n in zip(start, sizes, strict=True))]
+
+
+def _gather(x, indices, *, dimension_numbers, slice_sizes, **_) -> np.ndarray:
     numbers = dimension_numbers
     dropped = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
-    kept = [d for d in range(operand.ndim) if d not in dropped]
+    kept = [int(size) for d, size in enumerate(slice_sizes) if d not in dropped]
     batch = indices.shape[:-1]
-    result = np.empty((*batch, *(slice_sizes[d] for d in kept)), object)
-
-    def cut(start: list[Any]) -> np.ndarray:
-        for d, index in enumerate(start):
-            last = operand.shape[d] - slice_sizes[d]
-            if _constant(index):
-                start = [*start[:d], min(max(int(index), 0), last), *start[d + 1 :]]
-                continue
-            # Not known before it runs: all that it can be, and the choice among them.
-            found = cut([*start[:d], 0, *start[d + 1 :]])
-            for number in range(1, last + 1):
-                other = cut([*start[:d], number, *start[d + 1 :]])
-                found = _each(functools.partial(_select, index >= number), other, found)
-            return found
-        part = operand[tuple(slice(i, i + n) for i, n in zip(start, slice_sizes, strict=True))]
-        return part.reshape([slice_sizes[d] for d in kept])
-
+    result = np.empty((*batch, *kept), object)
     for place in np.ndindex(*batch):
-        start: list[Any] = [0] * operand.ndim
+        start: list[Any] = [0] * x.ndim
         for d, index in zip(numbers.start_index_map, indices[place], strict=True):
             start[d] = index
         for d, axis in zip(
             numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True
         ):
             start[d] = place[axis]
-        result[(*place, ...)] = cut(start)
+        result[(*place, ...)] = _cut(x, start, slice_sizes).reshape(kept)
     return np.moveaxis(result, range(len(batch), result.ndim), numbers.offset_dims)
+
+
+def _dynamic_slice(x: np.ndarray, *start: np.ndarray, slice_sizes, **_) -> np.ndarray:
+    return _cut(x, [index.item() for index in start], slice_sizes)
 
 
 def _broadcast(x: np.ndarray, *, shape, broadcast_dimensions, **_) -> np.ndarray:
@@ -261,6 +263,7 @@ _RULES: dict[str, Callable[..., np.ndarray]] = {
     "convert_element_type": _convert,
     "copy": lambda x, **_: x,
     "dot_general": _dot_general,
+    "dynamic_slice": _dynamic_slice,
     "gather": _gather,
     "iota": _iota,
     "reshape": lambda x, *, new_sizes, **_: x.reshape(new_sizes),
