@@ -72,7 +72,6 @@ def make_checker(
     backend: Backend = "fused",
     *,
     axis_aligned: bool = False,
-    max_boxes: int = 10,
     resolution: float = EDGE_RESOLUTION,
 ) -> Checker:
     """Builds the collision functions of a robot.
@@ -81,7 +80,6 @@ def make_checker(
         robot: the arm.
         backend: "fused" (fast; spheres and capsules) or "mjx" (any geoms that MJX collides).
         axis_aligned: promise that no box is rotated; the fused kernel then skips the rotation.
-        max_boxes: padded number of boxes of the scenes; MJX compiles its world for it.
         resolution: largest distance of neighbouring configurations along an edge.
 
     Raises:
