@@ -1,6 +1,7 @@
 """MJX against MuJoCo's C engine and the fused kernel, and the commands that run on it."""
 
 import contextlib
+import dataclasses
 import io
 import json
 
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from experiments import compare_labels
 from experiments.benchmark_collision import Engine
 from experiments.compare_labels import CompareConfig, _points, main
 from gnnjax.collision import make_checker
@@ -238,3 +240,22 @@ def test_labels_of_all_backends_are_compared(tiny, tmp_path, capsys, quick_compi
     assert 0 < found["valid"] < found["edges"] < found["configurations"]
     assert found["differ"] == {"fused from engine": 0, "mjx from engine": 0, "mjx from fused": 0}
     assert "mjx from engine: 0 labels differ" in capsys.readouterr().out
+
+
+def test_a_judge_that_errs_is_named_with_the_engines_distance(
+    tiny, monkeypatch, capsys, quick_compilation
+):
+    thin = dataclasses.replace(tiny, geom_radii=tiny.geom_radii - 0.01)
+    monkeypatch.setattr(
+        compare_labels,
+        "make_checker",
+        lambda robot, judge: make_checker(thin if judge == "mjx" else robot),
+    )
+    found = main(CompareConfig(robot=str(tiny.path), edges=300, num_nodes=40))
+    wrong = found["contradictions"]
+    assert len(wrong) == found["differ"]["mjx from engine"] == found["differ"]["mjx from fused"] > 0
+    for row in wrong:
+        assert row["judge"] == "mjx"
+        assert row["judge_says_valid"]
+        assert -20.1 < row["engine_mm"] <= 0.0  # two spheres, each 10 mm thinner
+    assert "mjx says valid, the engine's distance there is -" in capsys.readouterr().out
