@@ -148,7 +148,7 @@ def measure_checks(robot_name: str, path: Path, batch: int = 4096) -> dict[str, 
     robot = load_robot(robot_name)
     problem = load_problems(path, robot).problems
     scene = jax.tree.map(lambda x: jnp.asarray(x[0]), problem.scene)
-    checker = make_checker(robot, axis_aligned=True, max_boxes=len(scene.mask))
+    checker = make_checker(robot, axis_aligned=True)
     fused = jax.jit(checker.check_configurations)
     bounds = robot.joint_lower, robot.joint_upper
     q = np.random.default_rng(0).uniform(*bounds, (batch, robot.num_dof)).astype(np.float32)

@@ -226,8 +226,7 @@ def view_operations(edges: Edges, num_points: int) -> int:
 
 def check_operations(edges: Edges) -> int:
     """Operations of checking a free edge between its ends with the fused kernel."""
-    scene = edges.scenes
-    checker = make_checker(edges.robot, axis_aligned=True, max_boxes=scene.mask.shape[-1])
+    checker = make_checker(edges.robot, axis_aligned=True)
     between = math.ceil(EDGE_LENGTH / EDGE_RESOLUTION) - 1
     return between * _counted(edges, checker.check_configurations)
 

@@ -276,7 +276,6 @@ def straight_line_blocked(planner: AnyPlanner, problems: Problem) -> np.ndarray:
         planner.robot,
         "mjx" if planner.checker == "mjx" else "fused",
         axis_aligned=is_axis_aligned(problems.scene),
-        max_boxes=problems.scene.mask.shape[-1],
     )
 
     @jax.jit

@@ -41,7 +41,6 @@ from gnnjax.problem import (
 )
 from gnnjax.roadmap import Roadmap, default_radius, sample_roadmap
 from gnnjax.robot import Robot, load_robot
-from gnnjax.scene import BOX_BUCKETS
 
 Split = Literal["train", "validation", "test"]
 Family: TypeAlias = Literal["paper"] | FamilyName
@@ -139,7 +138,7 @@ def _problem_sampler(
     zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
     clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
     if family == "paper":
-        check = make_checker(robot, checker, axis_aligned=True, max_boxes=BOX_BUCKETS[0])
+        check = make_checker(robot, checker, axis_aligned=True)
 
         def draw_paper(key: jax.Array) -> tuple[Problem, jax.Array]:
             # Every arm's q = 0 stands upright in the paper; the scene leaves it clear.
@@ -148,8 +147,7 @@ def _problem_sampler(
 
         return draw_paper, check
 
-    drawn = jax.eval_shape(FAMILIES[family], jax.random.key(0))
-    check = make_checker(robot, checker, max_boxes=drawn.scene.mask.shape[0])
+    check = make_checker(robot, checker)
     base_clear = functools.partial(clear, base_only=True)
 
     def draw(key: jax.Array) -> tuple[Problem, jax.Array]:

@@ -117,7 +117,7 @@ def motion_sampler(
         free_share: share of the motions that begin at a free configuration where there are enough.
     """
     draw_scene = scene_sampler(robot)
-    checker = make_checker(robot, max_boxes=_MAX_BOXES)
+    checker = make_checker(robot)
     lower, upper = jnp.asarray(robot.joint_lower), jnp.asarray(robot.joint_upper)
     least, largest, share = (jnp.array(x) for x in zip(*lengths, strict=True))
     chosen_free = int(free_share * num)
