@@ -24,7 +24,8 @@ import numpy as np
 import tyro
 from scipy.spatial import ConvexHull
 
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write
 
 MARGIN = 1.5e-4  # m by which samples are covered: pays for rounding to 0.1 mm
 

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from gnnjax.errors import InputError, atomic_write
+from gnnjax.errors import InputError
 from gnnjax.evaluate import QUANTITIES, EvaluateConfig, describe_machine, evaluate, make_planner
+from gnnjax.files import atomic_write
 from gnnjax.generate import GenerateConfig, generate
 
 # Of the files in `results/`; raised when what they hold changes its meaning.

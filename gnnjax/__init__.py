@@ -1,5 +1,6 @@
 """gnnjax: learned, batched motion planning for robot arms in JAX and MuJoCo."""
 
+import gnnjax.interruption  # noqa: F401  first: from here on a command can be interrupted
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.certify import certify_edges, certify_path

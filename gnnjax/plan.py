@@ -7,7 +7,8 @@ import numpy as np
 import tyro
 
 from gnnjax.collision.checker import Backend
-from gnnjax.errors import InputError, atomic_write, check_target, run_command
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.planner import DEFAULT_MAX_ROADMAPS, load_planner
 from gnnjax.scene.scene import scene_from_json
 

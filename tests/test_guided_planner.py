@@ -138,7 +138,7 @@ def test_the_seed_alone_decides(planner, problems, plans):
 def test_a_path_is_found_wherever_the_roadmap_has_one(robot, planner, monkeypatch):
     monkeypatch.setattr(planner, "max_roadmaps", 1)
     stored = stored_roadmap(robot, NUM_NODES - 2, 0)
-    checker = make_checker(robot, axis_aligned=True, max_boxes=10)
+    checker = make_checker(robot, axis_aligned=True)
 
     @jax.jit
     def check(problem):

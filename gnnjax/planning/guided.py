@@ -177,7 +177,6 @@ class GuidedPlanner:
             self.robot,
             self.checker,
             axis_aligned=axis_aligned,
-            max_boxes=max_boxes,
             resolution=self.resolution,
         )
         view = arm_view(self.robot, self.network.num_points)

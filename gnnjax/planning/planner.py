@@ -284,7 +284,6 @@ class Planner:
             self.robot,
             self.checker,
             axis_aligned=axis_aligned,
-            max_boxes=max_boxes,
             resolution=self.resolution,
         )
 
