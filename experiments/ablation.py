@@ -37,8 +37,9 @@ from experiments.measure import (
     save_results,
     statistics,
 )
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.paper.network import Part
 from gnnjax.train import PRESETS, TrainConfig, train

@@ -22,8 +22,9 @@ from experiments import training
 from experiments.cases import classical_case, own_case
 from experiments.measure import ExperimentConfig, measure, problem_set, run_seed, save_results
 from experiments.style import BAND, draw_bars
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.train_motion import TrainMotionConfig
 
 CLAIM = "One motion network serves several arms as well as one of their own."

@@ -25,7 +25,8 @@ from rich.table import Table
 from experiments.random_arm import BASE, random_arm
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.certify import certify_edges, configuration_clearance
-from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
+from gnnjax.errors import InputError, check_seed, run_command
+from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.scene import Scene, make_scene
 
 SHIPPED = ("kuka_iiwa14", "kinova_gen3", "franka_panda")

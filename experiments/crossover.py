@@ -54,8 +54,9 @@ from experiments.price import (
 from experiments.style import COLORS, label
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.problems.problem import load_problems
 
 CLAIM = "The dearer a configuration check, the more a learned guide pays."
@@ -147,7 +148,7 @@ def measure_checks(robot_name: str, path: Path, batch: int = 4096) -> dict[str, 
     robot = load_robot(robot_name)
     problem = load_problems(path, robot).problems
     scene = jax.tree.map(lambda x: jnp.asarray(x[0]), problem.scene)
-    checker = make_checker(robot, axis_aligned=True, max_boxes=len(scene.mask))
+    checker = make_checker(robot, axis_aligned=True)
     fused = jax.jit(checker.check_configurations)
     bounds = robot.joint_lower, robot.joint_upper
     q = np.random.default_rng(0).uniform(*bounds, (batch, robot.num_dof)).astype(np.float32)

@@ -14,7 +14,8 @@ import tyro
 from matplotlib.figure import Figure
 
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
+from gnnjax.files import atomic_write
 from gnnjax.generate import generate_labelled, problem_keys
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.problem import Problem

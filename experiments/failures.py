@@ -38,8 +38,9 @@ from experiments.measure import (
 from experiments.style import COLORS, label
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.paper.occupancy import occupancy_grid
 from gnnjax.problems.problem import load_problems
 from gnnjax.scene.scene import Scene

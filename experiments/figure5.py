@@ -25,8 +25,9 @@ from experiments.bounds import first_roadmap, per_verification
 from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, own_case
 from experiments.measure import ExperimentConfig, measure, problem_sets, run_seed, save_results
 from experiments.style import BAND, COLORS, label
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 
 CLAIM = "A learned guide finds paths with fewer collision checks than PRM, RRT* and BIT* in R^7."
 

@@ -19,8 +19,9 @@ from matplotlib.figure import Figure
 from experiments.cases import CLASSICAL, OURS, classical_case, own_case
 from experiments.measure import ExperimentConfig, measure, problem_set, save_results
 from experiments.style import COLORS, draw_bars
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.training.weights import find_weights
 
 CLAIM = "A guide trained in R^7 saves collision checks and planning time in R^6."

@@ -35,8 +35,9 @@ from experiments.style import draw_bars
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import path_clearance
 from gnnjax.collision.checker import EDGE_RESOLUTION
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.files import atomic_write
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.problem import load_problems
 

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.errors import InputError, atomic_write
+from gnnjax.errors import InputError
 from gnnjax.evaluate import QUANTITIES, EvaluateConfig, describe_machine, evaluate
+from gnnjax.files import atomic_write
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.planning.planner import make_planner
 

@@ -35,7 +35,8 @@ from experiments.benchmark_collision import operations
 from experiments.measure import ExperimentConfig, save_results
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
-from gnnjax.errors import atomic_write, run_command
+from gnnjax.errors import run_command
+from gnnjax.files import atomic_write
 from gnnjax.generate import LabelledRoadmap, generate_labelled, problem_keys
 from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import arm_view
@@ -225,8 +226,7 @@ def view_operations(edges: Edges, num_points: int) -> int:
 
 def check_operations(edges: Edges) -> int:
     """Operations of checking a free edge between its ends with the fused kernel."""
-    scene = edges.scenes
-    checker = make_checker(edges.robot, axis_aligned=True, max_boxes=scene.mask.shape[-1])
+    checker = make_checker(edges.robot, axis_aligned=True)
     between = math.ceil(EDGE_LENGTH / EDGE_RESOLUTION) - 1
     return between * _counted(edges, checker.check_configurations)
 

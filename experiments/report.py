@@ -26,7 +26,8 @@ from experiments.tables import (
     planner_table,
     seconds,
 )
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write
 
 SETS = {"test": "The project's own 300 test problems", "public": "The first 300 public problems"}
 

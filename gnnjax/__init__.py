@@ -3,6 +3,7 @@
 The blocks of the paper that it starts from are in `gnnjax.paper`.
 """
 
+import gnnjax.interruption  # noqa: F401  first: from here on a command can be interrupted
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.certify import certify_edges, certify_path

@@ -28,7 +28,8 @@ from rich.table import Table
 
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
+from gnnjax.errors import InputError, brief, check_seed, run_command
+from gnnjax.files import atomic_write, check_target, locked
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import make_planner
 from gnnjax.planning.query import Plan, QueryPlanner, check_query
@@ -50,6 +51,9 @@ QUANTITIES = {
     "total_time_s": True,
     "cost": False,
 }
+
+# What each problem's results have at least.
+_ROW = {"index", "valid", "hard", "success", "certified", "roadmaps", *QUANTITIES}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -92,6 +96,13 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     del settings["json"]
     settings |= {"num_problems": len(problems), "radius": planner.radius}
+    with locked(config.json):
+        return _evaluate(planner, problems, settings, config)
+
+
+def _evaluate(
+    planner: QueryPlanner, problems: ProblemSet, settings: dict[str, Any], config: EvaluateConfig
+) -> dict[str, Any]:
     results = {
         "format": FORMAT,
         "complete": False,
@@ -203,7 +214,6 @@ def straight_line_blocked(robot: Robot, checker: str, problems: Problem) -> np.n
         robot,
         "mjx" if checker == "mjx" else "fused",
         axis_aligned=is_axis_aligned(problems.scene),
-        max_boxes=problems.scene.mask.shape[-1],
     )
 
     @jax.jit
@@ -283,16 +293,18 @@ def _earlier_results(path: Path, settings: dict[str, Any]) -> list[dict]:
         earlier = json.loads(path.read_text(encoding="utf-8"))
         version, theirs = earlier["format"], dict(earlier["settings"])
         rows = list(earlier["problems"])
+        if version == FORMAT:
+            _check_rows(rows)
     except FileNotFoundError:
         return []
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise InputError(
             f"{str(path)!r} exists and holds no results; remove it, or choose another --json"
         ) from None
     if version != FORMAT:
         raise InputError(
-            f"{str(path)!r} holds results of format {version!r}, this version writes {FORMAT}; "
-            "choose another --json"
+            f"{str(path)!r} holds results of format {brief(version)}, this version writes "
+            f"{FORMAT}; choose another --json"
         )
     # A file from before an option was there has none of it, which is what its default says.
     fields = dataclasses.fields(EvaluateConfig)
@@ -300,10 +312,19 @@ def _earlier_results(path: Path, settings: dict[str, Any]) -> list[dict]:
     for name, value in settings.items():
         if theirs.get(name) != value:
             raise InputError(
-                f"{str(path)!r} holds results with {name} {theirs.get(name)!r}, not {value!r}; "
+                f"{str(path)!r} holds results with {name} {brief(theirs.get(name))}, not "
+                f"{brief(value)}; "
                 "choose another --json"
             )
     return rows
+
+
+def _check_rows(rows: list[dict]) -> None:
+    """Raises where rows are not those of the first problems."""
+    if [row["index"] for row in rows] != list(range(len(rows))):
+        raise ValueError("a row is missing")
+    if not all(row.keys() >= _ROW for row in rows):
+        raise ValueError("a row lacks quantities")
 
 
 def _write(path: Path, results: dict[str, Any]) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 import tyro
 
 from gnnjax.arm.fit import Hull, describe, fit_link
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write
 
 
 @dataclasses.dataclass(frozen=True)

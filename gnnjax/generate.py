@@ -5,9 +5,10 @@ python -m gnnjax.generate --split test    # the paper's 300 test problems
 python -m gnnjax.generate --split test --family shelf   # harder ones
 """
 
+import contextlib
 import dataclasses
 import functools
-import shutil
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -21,7 +22,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import Backend, Checker, boxes_clear, make_checker
 from gnnjax.devices import cache_compilations, over_problems
-from gnnjax.errors import InputError, check_seed, check_target, run_command
+from gnnjax.errors import InputError, check_seed, run_command
+from gnnjax.files import check_target, is_leftover, locked
 from gnnjax.problems.families import FAMILIES, FamilyName
 from gnnjax.problems.family_problem import sample_family_problem
 from gnnjax.problems.problem import (
@@ -29,6 +31,7 @@ from gnnjax.problems.problem import (
     Problem,
     ProblemSet,
     check_origin,
+    intact_shards,
     load_problems,
     origin,
     read_manifest,
@@ -39,10 +42,11 @@ from gnnjax.problems.problem import (
 from gnnjax.roadmap.graph import Roadmap, default_radius
 from gnnjax.roadmap.paths import Labels, edge_validity, label_roadmap
 from gnnjax.roadmap.sampled import sample_roadmap
-from gnnjax.scene.scene import BOX_BUCKETS
 
 Split = Literal["train", "validation", "test"]
 Family: TypeAlias = Literal["paper"] | FamilyName
+
+_ORIGIN = "generated"  # array of a single file that says what the manifest says of a folder
 
 # Sizes of the paper's sets, and what keeps the sets of one seed apart.
 _SPLITS = {"train": (0, 3000), "validation": (1, 100), "test": (2, 300)}
@@ -135,7 +139,7 @@ def _problem_sampler(
     zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
     clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
     if family == "paper":
-        check = make_checker(robot, checker, axis_aligned=True, max_boxes=BOX_BUCKETS[0])
+        check = make_checker(robot, checker, axis_aligned=True)
 
         def draw_paper(key: jax.Array) -> tuple[Problem, jax.Array]:
             # Every arm's q = 0 stands upright in the paper; the scene leaves it clear.
@@ -144,8 +148,7 @@ def _problem_sampler(
 
         return draw_paper, check
 
-    drawn = jax.eval_shape(FAMILIES[family], jax.random.key(0))
-    check = make_checker(robot, checker, max_boxes=drawn.scene.mask.shape[0])
+    check = make_checker(robot, checker)
     base_clear = functools.partial(clear, base_only=True)
 
     def draw(key: jax.Array) -> tuple[Problem, jax.Array]:
@@ -227,8 +230,6 @@ def generate(config: GenerateConfig) -> Path:
     out = default if config.out is None else config.out
     one_file = out.suffix == ".npz"
     check_seed(config.seed)
-    if one_file and out.exists():
-        raise InputError(f"{str(out)!r} exists; remove it, or choose another --out")
     folder = out.with_suffix(".parts") if one_file else out
     check_target(folder / MANIFEST)
     settings = {
@@ -238,30 +239,60 @@ def generate(config: GenerateConfig) -> Path:
         "shard_size": config.shard_size,
         "checker": config.checker,
     }
-    _draw_shards(robot, folder, num, settings, config.seed)
-    if one_file:
-        save_problems(out, load_problems(folder, robot))
-        shutil.rmtree(folder)
+    ours = origin(robot.name, config.seed, settings)
+    with locked(out if one_file else folder / MANIFEST):
+        if one_file and out.exists():
+            # This command may have been killed when all was done but taking the parts away.
+            if _origin_of(out, robot) != {**ours, "problems": num}:
+                raise InputError(f"{str(out)!r} exists; remove it, or choose another --out")
+        else:
+            _draw_shards(robot, folder, num, ours)
+        if one_file and not out.exists():
+            extras = {_ORIGIN: np.array(json.dumps({**ours, "problems": num}))}
+            drawn = load_problems(folder, robot)
+            save_problems(out, dataclasses.replace(drawn, extras=drawn.extras | extras))
+        if one_file:
+            _remove_parts(folder)
     print(f"{num} problems in {out}")
     return out
 
 
-def _draw_shards(robot: Robot, folder: Path, num: int, settings: dict[str, Any], seed: int) -> None:
-    """Goes on where the folder's manifest ends."""
+def _origin_of(file: Path, robot: Robot) -> Any:
+    """How a file was generated, or None where it does not say."""
+    with contextlib.suppress(InputError, KeyError, ValueError, RecursionError):
+        return json.loads(str(load_problems(file, robot).extras[_ORIGIN]))
+    return None
+
+
+def _remove_parts(folder: Path) -> None:
+    """Removes a folder of shards; the manifest, which says whose it is, goes last."""
+    if (folder / MANIFEST).exists():
+        for shard in read_manifest(folder)["shards"]:
+            (folder / shard["file"]).unlink(missing_ok=True)
+        (folder / MANIFEST).unlink()
+    with contextlib.suppress(OSError):  # not there, or something else lies in it and stays
+        folder.rmdir()
+
+
+def _draw_shards(robot: Robot, folder: Path, num: int, ours: dict[str, Any]) -> None:
+    """Draws the shards that the folder's manifest lacks, or that are not there as it says."""
     cache_compilations()
+    seed, settings = ours["seed"], ours["settings"]
     size = settings["shard_size"]
     done = {}
     if (folder / MANIFEST).exists():
-        check_origin(folder, read_manifest(folder), origin(robot.name, seed, settings))
-        done = {shard["file"]: shard["problems"] for shard in read_manifest(folder)["shards"]}
-        if sum(done.values()) > num:
+        manifest = read_manifest(folder)
+        check_origin(folder, manifest, ours)
+        there = sum(shard["problems"] for shard in manifest["shards"])
+        if there > num:
             raise InputError(
-                f"{str(folder)!r} holds {sum(done.values())} problems, more than {num}; "
-                "write to an empty folder"
+                f"{str(folder)!r} holds {there} problems, more than {num}; write to an empty folder"
             )
+        done = intact_shards(folder)
     elif folder.exists():
-        # What is not ours would be mixed with the set, and removed with the parts of one file.
-        others = [p.name for p in folder.iterdir() if not p.name.lstrip(".").startswith("shard_")]
+        # What is not ours would be mixed with the set.
+        names = [p.name for p in folder.iterdir() if not is_leftover(p.name)]
+        others = [name for name in names if not name.startswith("shard_")]
         if others:
             raise InputError(
                 f"{str(folder)!r} holds {others[0]!r} and no problem set; write to an empty folder"

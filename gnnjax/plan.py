@@ -7,7 +7,8 @@ import numpy as np
 import tyro
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.errors import InputError, atomic_write, check_target, run_command
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import own_planner
 from gnnjax.scene.scene import scene_from_json

@@ -11,7 +11,8 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, atomic_write, check_target
+from gnnjax.errors import InputError
+from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.scene import Scene, rotation_matrices
 
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))

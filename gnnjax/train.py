@@ -8,7 +8,6 @@ step of the walk and from every node of the roadmap, and with a second head whic
 import argparse
 import dataclasses
 import json
-import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,13 +20,11 @@ import optax
 import tyro
 from flax import nnx
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from tensorboardX.proto.event_pb2 import Event
-from tensorboardX.proto.summary_pb2 import Summary
-from tensorboardX.record_writer import masked_crc32c
 
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.devices import cache_compilations
-from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
+from gnnjax.errors import InputError, check_seed, run_command
+from gnnjax.files import check_target
 from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled, problem_keys
 from gnnjax.guide.view import point_distances
 from gnnjax.paper.losses import graph_losses
@@ -36,8 +33,7 @@ from gnnjax.paper.strategy import gnn
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
 from gnnjax.problems.problem import Problem, load_problems
-from gnnjax.training.checkpoint import TrainingCheckpoints
-from gnnjax.training.weights import save_network
+from gnnjax.training.run import AGAIN, TrainingRun
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +51,7 @@ class TrainConfig:
     out: Path = Path("runs/kuka_iiwa14")
     """Checkpoints, logs and, at the end, the weights go here."""
     resume: bool = False
-    """Go on from the last checkpoint in `out`."""
+    """Go on from the last checkpoint in `out`; without one, start from the beginning."""
     seed: int = 0
     """Of the weights, the order of the data and the walks."""
 
@@ -234,20 +230,10 @@ def train(config: TrainConfig) -> Path:
     step = make_step(graphdef, optimizer, robot, config)
     state = TrainState(weights, optimizer.init(weights))
 
-    checkpoints = TrainingCheckpoints(config.out / "checkpoints", network, _settings(config))
-    first_epoch = 0
-    if config.resume:
-        first_epoch, state = checkpoints.restore(state)
-    elif checkpoints.latest() is not None:
-        raise InputError(
-            f"{str(config.out)!r} holds a run already; add --resume to go on with it, or choose "
-            "another --out"
-        )
-    log = config.out / "log.jsonl"
-    records = [] if first_epoch == 0 else _read_log(log, first_epoch)
-    events = config.out / "tensorboard" / f"events.out.tfevents.{int(time.time())}.gnnjax"
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    with checkpoints, Progress(*columns, TimeRemainingColumn()) as progress:
+    run = TrainingRun(config.out, network, _settings(config), "epoch", steps_an_epoch)
+    with run, Progress(*columns, TimeRemainingColumn()) as progress:
+        first_epoch, state = run.begin(state, config.resume)
         bar = progress.add_task(
             "compiling", total=num_steps, completed=first_epoch * steps_an_epoch
         )
@@ -276,15 +262,10 @@ def train(config: TrainConfig) -> Path:
                         f"epoch {epoch + 1}: loss {record['loss']:.3f}, validation success "
                         f"{found['success']:.2f}, {found['edge_checks']:.1f} edge checks"
                     )
-                checkpoints.save(epoch + 1, state)
-            records.append(record)
-            write_log(log, records)
-            _append_event(events, record, (epoch + 1) * steps_an_epoch)
-    nnx.update(network, state.weights)
-    weights = config.out / "weights.safetensors"
-    save_network(weights, network, {**_settings(config), "log": records[-1:]})
-    print(f"weights in {weights}")
-    return weights
+                run.add(record, state)  # with a checkpoint
+            else:
+                run.add(record)
+        return run.finish(state.weights)
 
 
 def _check_config(config: TrainConfig) -> None:
@@ -314,39 +295,6 @@ def _settings(config: TrainConfig) -> dict[str, Any]:
     return settings
 
 
-def write_log(path: Path, records: list[dict[str, Any]]) -> None:
-    """Writes all records of a run anew, a line of JSON each."""
-    text = "".join(json.dumps(record) + "\n" for record in records)
-    atomic_write(path, lambda file: file.write_text(text, encoding="utf-8"))
-
-
-def _read_log(path: Path, epochs: int) -> list[dict[str, Any]]:
-    """The records up to the checkpoint that a run goes on from."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    return [json.loads(line) for line in lines[:epochs]]
-
-
-def _append_event(path: Path, record: dict[str, Any], step: int) -> None:
-    """Adds a record to a file that TensorBoard reads.
-
-    Not by tensorboardX's `SummaryWriter`: its thread dies on a full disk, and then the run waits
-    for it without end.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    events = [] if path.exists() else [Event(wall_time=time.time(), file_version="brain.Event:2")]
-    values = [Summary.Value(tag=name, simple_value=value) for name, value in record.items()]
-    events.append(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
-    with open(path, "ab", buffering=0) as file:
-        for event in events:
-            data = event.SerializeToString()
-            size = struct.pack("<Q", len(data))
-            file.write(size + _checksum(size) + data + _checksum(data))
-
-
-def _checksum(data: bytes) -> bytes:
-    return struct.pack("<I", masked_crc32c(data))
-
-
 def parse() -> TrainConfig:
     """Reads the command line; `--preset` says what the other options start from."""
     parser = argparse.ArgumentParser(add_help=False)
@@ -361,4 +309,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, AGAIN)

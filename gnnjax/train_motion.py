@@ -24,15 +24,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import boxes_clear, make_checker
 from gnnjax.devices import cache_compilations, over_problems
-from gnnjax.errors import InputError, check_seed, check_target, run_command
+from gnnjax.errors import InputError, check_seed, run_command
+from gnnjax.files import check_target
 from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import draw_family_scene
 from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
-from gnnjax.train import TrainState, write_log
-from gnnjax.training.checkpoint import TrainingCheckpoints
-from gnnjax.training.weights import save_network
+from gnnjax.train import TrainState
+from gnnjax.training.run import AGAIN, TrainingRun
 
 _MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
 _PAPER_SHARE = 0.5  # of the scenes; the families share the rest
@@ -51,9 +51,9 @@ class TrainMotionConfig:
     robots: tuple[str, ...] = ("kuka_iiwa14", "kinova_gen3")
     """Arms that take turns: shipped ones, or paths of MJCF files."""
     out: Path = Path("runs/motion")
-    """Checkpoints, log and, at the end, the weights go here."""
+    """Checkpoints, logs and, at the end, the weights go here."""
     resume: bool = False
-    """Go on from the last checkpoint in `out`."""
+    """Go on from the last checkpoint in `out`; without one, start from the beginning."""
     seed: int = 0
     """Of weights and data."""
     steps: int = 3000
@@ -117,7 +117,7 @@ def motion_sampler(
         free_share: share of the motions that begin at a free configuration where there are enough.
     """
     draw_scene = scene_sampler(robot)
-    checker = make_checker(robot, max_boxes=_MAX_BOXES)
+    checker = make_checker(robot)
     lower, upper = jnp.asarray(robot.joint_lower), jnp.asarray(robot.joint_upper)
     least, largest, share = (jnp.array(x) for x in zip(*lengths, strict=True))
     chosen_free = int(free_share * num)
@@ -248,21 +248,11 @@ def train_motion(config: TrainMotionConfig) -> Path:
     batches = [make_batches(robot, config) for robot in robots]
     validations = [make_validation(robot, config, graphdef) for robot in robots]
     state = TrainState(weights, optimizer.init(weights))
-    settings = _settings(config)
-    checkpoints = TrainingCheckpoints(config.out / "checkpoints", network, settings)
-    first = 0
-    if config.resume:
-        first, state = checkpoints.restore(state)
-    elif checkpoints.latest() is not None:
-        raise InputError(
-            f"{str(config.out)!r} holds a run already; add --resume to go on with it, or choose "
-            "another --out"
-        )
-    log = config.out / "log.jsonl"
-    records = _read_log(log, first)
     train_key, validation_key = jax.random.split(jax.random.key(config.seed))
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    with checkpoints, Progress(*columns, TimeRemainingColumn()) as progress:
+    run = TrainingRun(config.out, network, _settings(config), "step")
+    with run, Progress(*columns, TimeRemainingColumn()) as progress:
+        first, state = run.begin(state, config.resume)
         bar = progress.add_task("compiling", total=config.steps, completed=first)
         sums, since, begin = {}, first, time.perf_counter()
         for number in range(first, config.steps):
@@ -281,19 +271,13 @@ def train_motion(config: TrainMotionConfig) -> Path:
                 scores, valid = zip(*(validate(state.weights, key) for key in keys), strict=True)
                 area = area_under_curve(np.concatenate(scores), np.concatenate(valid))
                 record[f"edge_auc_{Path(name).stem}"] = area
-            records.append(record)
-            checkpoints.save(done, state)
-            write_log(log, records)
+            run.add(record, state)
             areas = ", ".join(f"{v:.4f}" for k, v in record.items() if k.startswith("edge_auc"))
             progress.console.print(
                 f"step {done}: loss {record['loss']:.4f}, area under the curve of edges {areas}"
             )
             sums, since, begin = {}, done, time.perf_counter()
-    nnx.update(network, state.weights)
-    weights = config.out / "weights.safetensors"
-    save_network(weights, network, {**settings, "log": records[-1:]})
-    print(f"weights in {weights}")
-    return weights
+        return run.finish(state.weights)
 
 
 def _check_config(config: TrainMotionConfig) -> None:
@@ -317,11 +301,5 @@ def _settings(config: TrainMotionConfig) -> dict[str, Any]:
     return settings
 
 
-def _read_log(path: Path, steps: int) -> list[dict[str, Any]]:
-    """The records up to the checkpoint that a run goes on from."""
-    lines = path.read_text(encoding="utf-8").splitlines() if steps and path.exists() else []
-    return [record for record in map(json.loads, lines) if record["step"] <= steps]
-
-
 if __name__ == "__main__":
-    run_command(lambda: train_motion(tyro.cli(TrainMotionConfig)) and None)
+    run_command(lambda: train_motion(tyro.cli(TrainMotionConfig)) and None, AGAIN)

@@ -25,8 +25,8 @@ def test_backends_agree_and_results_are_written(tiny_path, tmp_path, capsys):
     main(config)
     results = json.loads(path.read_text())
     assert results.keys() == {"all_cores", "one_core"}
-    assert "mjx rotated" in results["all_cores"]["agreement"]["rotated"]["verdicts"]
     for result in results.values():
+        assert "mjx rotated" in result["agreement"]["rotated"]["verdicts"]
         assert result["matrix_product_gflops"] > 0
         for kind in ("aligned", "rotated"):
             assert np.isfinite(result[f"fused_over_engine_{kind}"])

@@ -209,7 +209,7 @@ def test_what_is_known_costs_nothing(robot, walled, checker):
 def test_the_fused_edge_is_that_of_the_checker(robot, fused_maker):
     rng = np.random.default_rng(1)
     scene = jax.tree.map(lambda x: x[:NUM_BOXES], random_scene(rng, NUM_BOXES))
-    checker = make_checker(robot, max_boxes=len(scene.mask), resolution=0.05)
+    checker = make_checker(robot, resolution=0.05)
     starts, ends = rng.uniform(robot.joint_lower, robot.joint_upper, (2, 60, 3)).astype(np.float32)
     on_device = jax.tree.map(jnp.asarray, scene)
     known = np.asarray(jax.jit(checker.check_configurations)(on_device, jnp.asarray(ends)))

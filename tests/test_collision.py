@@ -1,4 +1,4 @@
-"""Collision checking against MuJoCo's C engine and MJX, and edges against a plain loop."""
+"""Collision checking against MuJoCo's C engine, and edges against a plain loop."""
 
 from collections import deque
 
@@ -200,33 +200,6 @@ def test_clearance_shapes(tiny, tiny_checker):
     np.testing.assert_allclose(tiny_checker.clearance(scene, q[0]), flat[0], atol=1e-6)
 
 
-def test_mjx_matches_fused_and_c_engine(tiny):
-    rng = np.random.default_rng(4)
-    fused = jax.jit(make_checker(tiny).check_configurations)
-    mjx = make_checker(tiny, "mjx")
-    check, clearance = jax.jit(mjx.check_configurations), jax.jit(mjx.clearance)
-    engine = Engine(tiny)
-    for num_boxes in (0, 3, 9):
-        scene = random_scene(rng, num_boxes, rotated=True)
-        q = random_configurations(rng, tiny, 200)
-        engine.place(scene)
-        gaps = engine.gaps(q)
-        valid = check(scene, q)
-        assert_verdicts_agree(valid, gaps)
-        assert (np.asarray(valid) == np.asarray(fused(scene, q)))[np.abs(gaps) > 1e-4].all()
-        # Penetration depths are distances in MJX, too.
-        deep = gaps < -1e-4
-        np.testing.assert_allclose(clearance(scene, q)[deep], gaps[deep], atol=1e-4)
-    assert clearance(scene, q.reshape(2, 100, -1)).shape == (2, 100)
-
-
-def test_mjx_needs_its_number_of_boxes(tiny):
-    checker = make_checker(tiny, "mjx", max_boxes=3)
-    scene = random_scene(np.random.default_rng(0), 2, rotated=False)
-    with pytest.raises(InputError, match="10 boxes, the MJX checker for 3"):
-        checker.check_configurations(scene, jnp.zeros((1, 3)))
-
-
 def test_moved_box_is_hit(tiny):
     # The C engine keeps bounding volumes; boxes that moved or grew after compilation must not
     # leave theirs behind.
@@ -388,8 +361,6 @@ def test_bad_geoms(tiny, tmp_path):
     path.write_text(text.replace(geom, '<geom name="stick" type="cylinder" size="0.1 0.1"/>'))
     with pytest.raises(InputError, match="stick of cylinder is neither sphere nor capsule"):
         make_checker(load_robot(path))
-    with pytest.raises(InputError, match="MJX cannot collide cylinder"):
-        make_checker(load_robot(path), "mjx")
 
 
 def test_bisection_order():

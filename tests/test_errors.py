@@ -1,88 +1,16 @@
-"""Files that are never half written, and errors in one line."""
-
-import errno
-import os
+"""Errors in one line."""
 
 import jax
 import pytest
 
-from gnnjax.errors import InputError, atomic_write, check_seed, check_target, run_command
-
-
-def test_a_full_disk_leaves_the_old_file_and_no_rest(tmp_path, monkeypatch, capsys):
-    target = tmp_path / "results.json"
-    target.write_text("old")
-
-    def no_space(handle):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", no_space)
-    with pytest.raises(SystemExit) as exit_info:
-        run_command(lambda: atomic_write(target, lambda file: file.write_text("new")))
-    assert exit_info.value.code == 2
-    assert target.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [target]
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert lines[0] == (
-        f"error: No space left on device: {target}; make room and start the same command again"
-    )
-
-
-def test_a_file_that_outgrows_its_disk_is_not_begun(tmp_path):
-    resource = pytest.importorskip("resource")  # POSIX
-    target = tmp_path / "results.json"
-    target.write_text("old")
-    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, unlimited[1]))
-    try:
-        with pytest.raises(OSError, match=r"File too large.*results.json"):
-            atomic_write(target, lambda file: file.write_text("x" * 5000))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
-    assert target.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_a_target_that_no_file_can_have_is_refused(tmp_path):
-    (tmp_path / "file").write_text("kept")
-    for target, message in (
-        (tmp_path, "is a folder; name a file"),
-        (tmp_path / "file" / "new" / "path.npz", r"file' is a file; name a folder"),
-        ("", r"'\.' is a folder"),
-    ):
-        with pytest.raises(InputError, match=message):
-            check_target(target)
-        with pytest.raises(InputError, match=message):
-            atomic_write(target, lambda file: file.write_text("new"))
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+from gnnjax.errors import InputError, brief, check_seed, run_command
+from gnnjax.training.run import AGAIN
 
 
 @pytest.mark.parametrize("seed", [-1, 2**31, 2**70])
 def test_a_seed_that_jax_cannot_take_is_refused(seed):
     with pytest.raises(InputError, match=rf"seed is {seed}; choose 0 to 2147483647"):
         check_seed(seed)
-
-
-def test_a_write_that_is_interrupted_leaves_the_old_file(tmp_path):
-    target = tmp_path / "path.npz"
-    target.write_bytes(b"old")
-
-    def half(file):
-        file.write_bytes(b"ne")
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        atomic_write(target, half)
-    assert target.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_a_file_is_replaced_and_folders_are_made(tmp_path):
-    target = tmp_path / "new" / "file.txt"
-    for text in ("one", "two"):
-        atomic_write(target, lambda file, text=text: file.write_text(text))
-        assert target.read_text() == text
 
 
 @pytest.mark.parametrize(
@@ -118,3 +46,35 @@ def test_a_command_returns_its_status():
         with pytest.raises(SystemExit) as exit_info:
             run_command(lambda returned=returned: returned)
         assert exit_info.value.code == status
+
+
+@pytest.mark.parametrize(
+    "message",
+    ["one\ntwo\r\n three\x85four\u2028five", "x" * 10**6, "a\x1b[2Jb\0c", "\ud800", "é" * 500],
+)
+def test_a_message_is_one_line_of_less_than_300_characters(message):
+    text = str(InputError(f"the beginning {message}; the remedy"))
+    assert len(text) < 300
+    assert len(text.splitlines()) == 1
+    assert text.isprintable()
+    assert text.startswith("the beginning ")
+    assert text.endswith("; the remedy")
+
+
+def test_a_value_is_said_briefly_however_large_it_is_or_deep():
+    deep: list = []
+    for _ in range(100_000):
+        deep = [deep]
+    for value in (deep, [1] * 10**6, "x" * 10**6, 10**400, {"a": {"b": deep}}):
+        assert len(brief(value)) < 200
+    assert brief([0.1, 0.2]) == "[0.1, 0.2]"
+
+
+def test_a_training_says_how_it_goes_on(capsys):
+    def main():
+        raise KeyboardInterrupt
+
+    with pytest.raises(SystemExit):
+        run_command(main, AGAIN)
+    line = "interrupted; start the same command again with --resume to go on\n"
+    assert capsys.readouterr().err == line

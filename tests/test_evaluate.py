@@ -162,7 +162,7 @@ def test_the_guided_planner_is_warm_before_it_is_timed(
     assert isinstance(planner, Planner)
     query = load_problems(problems, planner.robot).take(slice(1)).problems
     planner.warm_up(query)
-    compiled = planner._compiled(True, query.scene.mask.shape[-1])
+    compiled = planner._compiled(True)
     sizes = [f._cache_size() for f in compiled]
     # On sampled roadmaps the later ones are made like the first.
     assert sizes == ([1, 1, 2, 1] if case.shorten else [1, 1, 1, 0])

@@ -149,7 +149,7 @@ def test_the_seed_alone_decides(planner, problems, plans):
 def test_a_path_is_found_wherever_the_roadmap_has_one(robot, planner, monkeypatch):
     monkeypatch.setattr(planner, "options", with_options(planner, max_roadmaps=1))
     stored = stored_roadmap(robot, NUM_NODES - 2, 0)
-    checker = make_checker(robot, axis_aligned=True, max_boxes=10)
+    checker = make_checker(robot, axis_aligned=True)
 
     @jax.jit
     def check(problem):
@@ -178,7 +178,7 @@ def test_a_path_is_found_wherever_the_roadmap_has_one(robot, planner, monkeypatc
 
 
 def test_other_weights_take_effect_and_nothing_is_compiled_again(planner, network, problems, plans):
-    functions = planner._compiled(True, 10)
+    functions = planner._compiled(True)
     sizes = [f._cache_size() for f in functions]
     other = MotionNetwork(network.num_points, network.channels, rngs=nnx.Rngs(7))
     planner.use_weights(nnx.state(other))

@@ -35,16 +35,16 @@ def test_files_that_the_texts_name_exist():
 
 # Imports go down this list only.
 ORDER = """
-errors devices
+interruption errors files devices
 arm.mjcf arm.robot arm.kinematics arm.fit
 scene.scene scene.mujoco_world
-collision.geometry collision.mjx collision.checker collision.certify
+collision.geometry collision.components collision.mjx collision.checker collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion
 search.knowledge search.greedy search.lazy search.shorten search.guided
 problems.problem problems.families problems.family_problem
 planning.options planning.query planning.strategy planning.engine planning.planner
-training.weights training.checkpoint
+training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
 generate paper.losses train train_motion evaluate plot plan fit

@@ -1,6 +1,7 @@
 """Problem sets: what is written is read, and what is damaged is named."""
 
 import json
+import zipfile
 
 import jax
 import jax.numpy as jnp
@@ -124,6 +125,15 @@ def test_an_array_that_names_obstacles_is_refused_read_or_written(tmp_path, robo
     problem_set.extras[name] = np.zeros((6, 2))
     with pytest.raises(InputError, match=f"array '{name}', which names obstacles"):
         save_problems(tmp_path / "other.npz", problem_set)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_an_array_that_comes_twice_is_refused(tmp_path, robot):
+    save_problems(tmp_path / "set.npz", random_set())
+    with zipfile.ZipFile(tmp_path / "set.npz", "a") as archive:
+        archive.writestr("num_boxes.npy", archive.read("num_boxes.npy"))
+    with pytest.raises(InputError, match=r"array 'num_boxes' of .*: it is there twice"):
+        load_problems(tmp_path / "set.npz", robot)
 
 
 def test_a_long_quaternion_keeps_its_rotation(tmp_path, robot):

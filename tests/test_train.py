@@ -215,14 +215,14 @@ def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
 def test_a_run_that_began_before_an_option_was_there_goes_on(network, tmp_path):
     weights = nnx.state(network, nnx.Param)
     state = TrainState(weights, make_optimizer(PRESETS["smoke"], 10).init(weights))
-    with TrainingCheckpoints(tmp_path, network, {"seed": 0}) as checkpoints:
-        checkpoints.save(1, state)
-    with TrainingCheckpoints(tmp_path, network, {"seed": 0, "without": ()}) as checkpoints:
-        assert checkpoints.restore(state)[0] == 1
+    checkpoints = TrainingCheckpoints(tmp_path, network, {"seed": 0})
+    checkpoints.save(1, state, [])
+    checkpoints = TrainingCheckpoints(tmp_path, network, {"seed": 0, "without": ()})
+    assert checkpoints.restore(state)[0] == 1
     settings = {"seed": 0, "without": ("gat",)}
-    with TrainingCheckpoints(tmp_path, network, settings) as checkpoints:
-        with pytest.raises(InputError, match=r"has without None, not \['gat'\]"):
-            checkpoints.restore(state)
+    checkpoints = TrainingCheckpoints(tmp_path, network, settings)
+    with pytest.raises(InputError, match=r"has without None, not \['gat'\]"):
+        checkpoints.restore(state)
 
 
 def test_the_number_of_roadmaps_is_checked(smoke):
@@ -248,10 +248,10 @@ def test_the_state_of_every_optimizer_is_kept(network, tmp_path, name):
     weights = nnx.state(network, nnx.Param)
     optimizer = make_optimizer(dataclasses.replace(PRESETS["smoke"], optimizer=name), 10)
     state = TrainState(weights, jax.tree.map(lambda x: x + 1, optimizer.init(weights)))
-    with TrainingCheckpoints(tmp_path, network, {}) as checkpoints:
-        checkpoints.save(3, state)
-        epoch, restored = checkpoints.restore(TrainState(weights, optimizer.init(weights)))
-    assert epoch == 3
+    checkpoints = TrainingCheckpoints(tmp_path, network, {})
+    checkpoints.save(3, state, [{"epoch": 3}])
+    epoch, restored, log = checkpoints.restore(TrainState(weights, optimizer.init(weights)))
+    assert (epoch, log) == (3, [{"epoch": 3}])
     assert jax.tree.structure(restored) == jax.tree.structure(state)
     for ours, theirs in zip(*map(jax.tree.leaves, (restored, state)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -300,10 +300,10 @@ def test_a_full_disk_leaves_the_checkpoints_there_are(network, tmp_path, monkeyp
     state = TrainState(nnx.state(network, nnx.Param), {})
     full = shutil.disk_usage(tmp_path)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
-    with TrainingCheckpoints(tmp_path / "run", network, {}) as checkpoints:
-        with pytest.raises(OSError, match=r"No space left on device: .*run/1'"):
-            checkpoints.save(1, state)
-        assert checkpoints.latest() is None
+    checkpoints = TrainingCheckpoints(tmp_path / "run", network, {})
+    with pytest.raises(OSError, match=r"No space left on device: .*run/1'"):
+        checkpoints.save(1, state, [])
+    assert checkpoints.latest() is None
 
 
 def test_the_paper_preset_is_the_papers():

@@ -90,7 +90,7 @@ def test_damaged_weights_are_refused(path, damage):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda meta: meta.update(format=1), r"has format 1 .* this version reads format 2"),
+        (lambda meta: meta.update(format=1), r"has format 1 .* this one reads format 2"),
         (lambda meta: meta.update(network="Oracle"), "describes no network of this version"),
         (lambda meta: meta["model"].update(channels="many"), "describes no network of this"),
         (lambda meta: meta["model"].update(channels=16), "its arrays are not those that were"),

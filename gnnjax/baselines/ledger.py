@@ -66,9 +66,7 @@ class Ledger:
 def fused_checks(robot: Robot, axis_aligned: bool, max_boxes: int, resolution: float) -> Callable:
     """Checks by the fused kernel. The end of an edge is tested first, its interior in the order of
     `check_edges`, all in one call."""
-    checker = make_checker(
-        robot, axis_aligned=axis_aligned, max_boxes=max_boxes, resolution=resolution
-    )
+    checker = make_checker(robot, axis_aligned=axis_aligned, resolution=resolution)
 
     @jax.jit
     def check_one(scene: Scene, q: jax.Array) -> jax.Array:

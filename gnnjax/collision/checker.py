@@ -73,7 +73,6 @@ def make_checker(
     backend: Backend = "fused",
     *,
     axis_aligned: bool = False,
-    max_boxes: int = 10,
     resolution: float = EDGE_RESOLUTION,
 ) -> Checker:
     """Builds the collision functions of a robot.
@@ -82,7 +81,6 @@ def make_checker(
         robot: the arm.
         backend: "fused" (fast; spheres and capsules) or "mjx" (any geoms that MJX collides).
         axis_aligned: promise that no box is rotated; the fused kernel then skips the rotation.
-        max_boxes: padded number of boxes of the scenes; MJX compiles its world for it.
         resolution: largest distance of neighbouring configurations along an edge.
 
     Raises:
@@ -94,7 +92,7 @@ def make_checker(
     elif backend == "mjx":
         from gnnjax.collision.mjx import mjx_functions
 
-        clearance, collision_free = mjx_functions(robot, max_boxes)
+        clearance, collision_free = mjx_functions(robot)
     else:
         raise InputError(f"no collision backend {backend!r}; there are 'fused' and 'mjx'")
     lower, upper = robot.joint_lower, robot.joint_upper

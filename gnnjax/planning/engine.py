@@ -44,14 +44,13 @@ class Compiled(NamedTuple):
 
 
 def compile_strategy(
-    robot: Robot, strategy: Strategy, options: PlannerOptions, axis_aligned: bool, max_boxes: int
+    robot: Robot, strategy: Strategy, options: PlannerOptions, axis_aligned: bool
 ) -> Compiled:
-    """Makes the jitted parts of a query, for one padding of the scene."""
+    """Makes the jitted parts of a query."""
     checker = make_checker(
         robot,
         options.checker,
         axis_aligned=axis_aligned,
-        max_boxes=max_boxes,
         resolution=options.resolution,
     )
 

@@ -165,9 +165,9 @@ class Planner:
         self._batch(problems, 0).warm_up()
 
     def _batch(self, problems: Problem, seed: int) -> Batch:
-        compiled = self._compiled(is_axis_aligned(problems.scene), problems.scene.mask.shape[-1])
+        compiled = self._compiled(is_axis_aligned(problems.scene))
         return Batch(self.robot, self.strategy, self.options, compiled, problems, seed)
 
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
-    def _compiled(self, axis_aligned: bool, max_boxes: int) -> Compiled:
-        return compile_strategy(self.robot, self.strategy, self.options, axis_aligned, max_boxes)
+    def _compiled(self, axis_aligned: bool) -> Compiled:
+        return compile_strategy(self.robot, self.strategy, self.options, axis_aligned)

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, atomic_write
+from gnnjax.errors import InputError, brief
+from gnnjax.files import atomic_write, read_arrays
 from gnnjax.roadmap.sampled import sample_free
 from gnnjax.scene.scene import MOST_METERS, Scene, box_bucket, pad_scene, sample_scene, unit_quats
 
@@ -186,10 +188,16 @@ def check_origin(folder: str | Path, manifest: dict[str, Any], ours: dict[str, A
         InputError: another robot, seed, settings or code version.
     """
     for name, value in ours.items():
-        if manifest.get(name) != value:
+        theirs = manifest.get(name)
+        if theirs != value:
+            if isinstance(theirs, dict) and isinstance(value, dict):
+                options = sorted(theirs.keys() | value.keys())
+                differ = [x for x in options if theirs.get(x) != value.get(x)]
+                name = f"{name} {brief(differ)}"
+                theirs, value = ([x.get(option) for option in differ] for x in (theirs, value))
             raise InputError(
-                f"{str(folder)!r} was generated with {name} {manifest.get(name)!r}, not "
-                f"{value!r}; write to an empty folder"
+                f"{str(folder)!r} was generated with {name} {brief(theirs)}, not {brief(value)}; "
+                "write to an empty folder"
             )
 
 
@@ -202,15 +210,17 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
         raise InputError(
             f"folder {str(folder)!r} has no {MANIFEST}; name an .npz, or a folder of shards"
         ) from None
-    except ValueError as error:  # no JSON, or no text
+    except IsADirectoryError:
+        raise InputError(f"{str(path)!r} is a folder; generate the set again") from None
+    except (ValueError, RecursionError) as error:  # no JSON, no text, or nested without end
         raise InputError(f"{str(path)!r} is no JSON: {error}; generate the set again") from None
     shards = manifest.get("shards") if isinstance(manifest, dict) else None
     well_formed = isinstance(shards, list) and all(
         isinstance(shard, dict)
-        and isinstance(shard.get("problems"), int)
+        and type(shard.get("problems")) is int
         and isinstance(shard.get("sha256"), str)
         and isinstance(shard.get("file"), str)
-        and shard["file"] == Path(shard["file"]).name  # inside the folder
+        and _is_file_name(shard["file"])
         for shard in shards
     )
     if not well_formed or not shards:
@@ -219,6 +229,24 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
             "generate the set again"
         )
     return manifest
+
+
+def intact_shards(folder: str | Path) -> dict[str, int]:
+    """The shards that a manifest names and that are there as it says, and their problems."""
+    folder = Path(folder)
+    return {
+        shard["file"]: shard["problems"]
+        for shard in read_manifest(folder)["shards"]
+        if (folder / shard["file"]).is_file() and _sha256(folder / shard["file"]) == shard["sha256"]
+    }
+
+
+def _is_file_name(name: str) -> bool:
+    """Whether a file inside of a folder can have this name."""
+    try:
+        return name == Path(name).name and len(os.fsencode(name)) <= 255 and "\0" not in name
+    except UnicodeEncodeError:
+        return False
 
 
 def _load_shards(folder: Path, robot: Robot) -> ProblemSet:
@@ -250,7 +278,7 @@ def _load_shards(folder: Path, robot: Robot) -> ProblemSet:
 
 
 def _load_file(path: Path, robot: Robot) -> ProblemSet:
-    arrays = _read_arrays(path)
+    arrays = read_arrays(path)
     missing = [name for name in _NAMES if name not in arrays]
     if missing:
         raise InputError(f"problem file {str(path)!r} lacks {missing}; it needs {list(_NAMES)}")
@@ -299,28 +327,6 @@ def _check_further(source: str, extras: dict[str, np.ndarray]) -> None:
                 f"{source} has the array {name!r}, which names obstacles, and only boxes are "
                 "known; enclose them in boxes, or rename the array if it holds none"
             )
-
-
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    name = None
-    try:
-        # Not np.load, which takes any other file for a pickle and advises to trust it.
-        with open(path, "rb") as stream, np.lib.npyio.NpzFile(stream) as file:
-            arrays = {}
-            for name in file.files:
-                arrays[name] = file[name]
-            return arrays
-    except FileNotFoundError:
-        raise InputError(f"no problem file {str(path)!r}; check the path") from None
-    except (PermissionError, MemoryError):
-        raise
-    except Exception as error:  # damaged archives raise nearly anything
-        part = "" if name is None else f"array {name!r} of "
-        reason = " ".join(str(error).split())
-        raise InputError(
-            f"{part}{str(path)!r} cannot be read as a problem set (.npz without pickles): "
-            f"{reason}; generate it again"
-        ) from None
 
 
 def _check_shapes(path: Path, arrays: dict[str, np.ndarray], num_dof: int) -> None:
@@ -374,7 +380,7 @@ def _refuse(
         box = f" (box {where[0][1]})" if len(where[0]) > 1 else ""
         raise InputError(
             f"{name} of problem {where[0][0]}{box} in {str(path)!r} is "
-            f"{array[tuple(where[0])].tolist()}; it {rule}"
+            f"{brief(array[tuple(where[0])].tolist())}; it {rule}"
         )
 
 

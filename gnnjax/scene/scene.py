@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from gnnjax.errors import InputError, atomic_write
+from gnnjax.errors import InputError, brief
+from gnnjax.files import atomic_write
 
 # Padded numbers of boxes; one compilation each. The first holds the paper's 2 to 9 boxes.
 BOX_BUCKETS = (10, 16, 32, 64)
@@ -187,6 +188,8 @@ def scene_from_json(path: str | Path) -> Scene:
         data = json.loads(text, object_pairs_hook=_unrepeated)
     except FileNotFoundError:
         raise InputError(f"no scene file {str(path)!r}; check the path") from None
+    except IsADirectoryError:
+        raise InputError(f"scene file {str(path)!r} is a folder; name a file") from None
     except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, or nested without end
         raise InputError(f"scene file {str(path)!r} is no JSON: {error}; mend it") from None
     # What is not read would be planned through.
@@ -201,6 +204,7 @@ def scene_from_json(path: str | Path) -> Scene:
         raise InputError(
             f'scene file {str(path)!r} lacks the list "boxes"; write {{"boxes": [...]}}'
         )
+    box_bucket(len(boxes), repr(str(path)))  # too many are refused before each is looked at
     for i, box in enumerate(boxes):
         _check_json_box(box, f"box {i} of {str(path)!r}")
     return make_scene(
@@ -224,7 +228,7 @@ def _check_json_box(box: Any, called: str) -> None:
     widths = {"center": 3, "half_extents": 3, "quat": 4}
     # A misspelled "quat" must not leave a box unrotated.
     if not isinstance(box, dict) or not box.keys() <= widths.keys():
-        found = sorted(box) if isinstance(box, dict) else repr(box)
+        found = brief(sorted(box) if isinstance(box, dict) else box)
         raise InputError(f"{called} has {found}; give center, half_extents and, if rotated, quat")
     for name, width in widths.items():
         if name == "quat" and name not in box:
@@ -233,7 +237,9 @@ def _check_json_box(box: Any, called: str) -> None:
         # Booleans and strings would pass for numbers in NumPy.
         numbers = isinstance(value, list) and all(type(x) in (int, float) for x in value)
         if not numbers or len(value) != width:
-            raise InputError(f"{called} has {name} = {value}; give a list of {width} numbers")
+            raise InputError(
+                f"{called} has {name} = {brief(value)}; give a list of {width} numbers"
+            )
 
 
 def scene_to_json(scene: Scene, path: str | Path) -> None:

@@ -4,7 +4,6 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,11 @@ import orbax.checkpoint as ocp
 import tensorstore
 from flax import nnx
 
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, brief, one_line
 from gnnjax.training.weights import metadata, read_metadata
+
+# What Orbax adds to the name of a folder until all is written.
+_UNFINISHED = ".orbax-checkpoint-tmp"
 
 
 def checkpoint_metadata(folder: Path) -> Any:
@@ -47,41 +49,43 @@ class TrainingCheckpoints:
     def __init__(self, folder: str | Path, network: nnx.Module, settings: dict[str, Any]):
         self.folder = Path(folder).resolve()
         self._meta = metadata(network, settings)
-        options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)
-        self._manager = ocp.CheckpointManager(self.folder, options=options)
-
-    def __enter__(self) -> "TrainingCheckpoints":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._manager.close()
+        _remove_unfinished(self.folder, "*")
+        self._remove_old()
 
     def latest(self) -> int | None:
         """The epoch of the last checkpoint."""
-        return self._manager.latest_step()
+        return max(self._epochs(), default=None)
 
-    def save(self, epoch: int, state: Any) -> None:
-        """Writes `state` (weights, optimizer) after an epoch."""
+    def save(self, epoch: int, state: Any, log: list[dict[str, Any]]) -> None:
+        """Writes `state` (weights, optimizer) after an epoch, and the log so far."""
         items = ocp.args.Composite(
             weights=ocp.args.StandardSave(nnx.to_pure_dict(state.weights)),
             optimizer=ocp.args.StandardSave(_by_number(state.optimizer)),
-            meta=ocp.args.JsonSave(self._meta),
+            meta=ocp.args.JsonSave({**self._meta, "log": log}),
         )
-        _write(
-            self.folder / str(epoch),
-            (state.weights, state.optimizer),
-            lambda: self._manager.save(epoch, args=items, force=True),
-        )
+        _write(self.folder / str(epoch), (state.weights, state.optimizer), items)
+        self._remove_old()
 
-    def restore(self, state: Any) -> tuple[int, Any]:
-        """The last epoch written, and `state` as it was then.
+    def _epochs(self) -> list[int]:
+        """Those of which there is a checkpoint; what is unfinished has another name."""
+        return sorted(int(path.name) for path in self.folder.glob("[0-9]*") if path.name.isdigit())
+
+    def _remove_old(self) -> None:
+        # Not by Orbax's manager, which removes a folder bit by bit under its own name.
+        for epoch in self._epochs()[:-2]:
+            rest = self.folder / f"{epoch}{_UNFINISHED}"
+            (self.folder / str(epoch)).rename(rest)
+            shutil.rmtree(rest, ignore_errors=True)
+
+    def restore(self, state: Any) -> tuple[int, Any, list[dict[str, Any]] | None]:
+        """The last epoch written, and `state` and the log (None: not kept) as they were then.
 
         Raises:
             InputError: there is none, it is damaged, or it is of a run with other settings.
         """
         epoch = self.latest()
         if epoch is None:
-            raise InputError(f"no checkpoint in {str(self.folder)!r}; start without --resume")
+            raise InputError(f"no checkpoint in {str(self.folder)!r}; train one first")
         folder = self.folder / str(epoch)
         meta = read_metadata(folder)
         ours, theirs = json.loads(json.dumps(self._meta["training"])), meta["training"]
@@ -89,8 +93,8 @@ class TrainingCheckpoints:
             # What was no option yet when the run began is off, whatever that looks like.
             if (ours.get(name) or None) != (theirs.get(name) or None):
                 raise InputError(
-                    f"the run in {str(self.folder)!r} has {name} {theirs.get(name)!r}, not "
-                    f"{ours.get(name)!r}; go on with the same settings"
+                    f"the run in {str(self.folder)!r} has {name} {brief(theirs.get(name))}, not "
+                    f"{brief(ours.get(name))}; go on with the same settings"
                 )
         shapes = _on_this_device((nnx.to_pure_dict(state.weights), _by_number(state.optimizer)))
         items = _restore(
@@ -98,12 +102,15 @@ class TrainingCheckpoints:
             weights=ocp.args.StandardRestore(shapes[0]),
             optimizer=ocp.args.StandardRestore(shapes[1]),
         )
+        log = meta.get("log")
+        if log is not None and not (isinstance(log, list) and all(type(x) is dict for x in log)):
+            raise InputError(f"checkpoint {str(folder)!r} is damaged (its log); train again")
         structure = jax.tree.structure(state.optimizer)
         leaves = [items["optimizer"][str(i)] for i in range(structure.num_leaves)]
         restored = jax.tree.map(lambda x: x, state.weights)
         nnx.replace_by_pure_dict(restored, items["weights"])
         optimizer = jax.tree.unflatten(structure, leaves)
-        return epoch, state._replace(weights=restored, optimizer=optimizer)
+        return epoch, state._replace(weights=restored, optimizer=optimizer), log
 
 
 def _by_number(state: Any) -> dict[str, jax.Array]:
@@ -113,7 +120,13 @@ def _by_number(state: Any) -> dict[str, jax.Array]:
     return {"num_leaves": jnp.int32(len(leaves))} | {str(i): x for i, x in enumerate(leaves)}
 
 
-def _write(folder: Path, arrays: Any, save: Callable[[], object]) -> None:
+def _remove_unfinished(folder: Path, name: str) -> None:
+    """Removes what killed runs left of a checkpoint; Orbax would warn, or leave it there."""
+    for rest in folder.glob(f"{name}{_UNFINISHED}*"):
+        shutil.rmtree(rest, ignore_errors=True)
+
+
+def _write(folder: Path, arrays: Any, items: ocp.args.Composite) -> None:
     """Writes a checkpoint, or says why it cannot be written."""
     # On a full disk Orbax fills the terminal with the failures of its threads. It writes arrays
     # twice, and dozens of small files.
@@ -122,9 +135,10 @@ def _write(folder: Path, arrays: Any, save: Callable[[], object]) -> None:
     if shutil.disk_usage(place).free < needed:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
     try:
-        save()
+        with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
+            checkpointer.save(folder, args=items, force=True)
     except ValueError as error:  # what TensorStore makes of a failed write
-        reason = " ".join(str(error).split())[:200]
+        reason = one_line(str(error), 200)
         raise InputError(
             f"checkpoint {str(folder)!r} cannot be written ({reason}); make room and start again"
         ) from None
@@ -138,7 +152,7 @@ def _restore(folder: Path, **items: Any) -> Any:
         with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
             return checkpointer.restore(folder, args=ocp.args.Composite(**items))
     except Exception as error:  # a damaged folder raises nearly anything
-        reason = " ".join(str(error).split())[:200]
+        reason = one_line(str(error), 120)
         raise InputError(
             f"checkpoint {str(folder)!r} is damaged or no checkpoint ({reason}); "
             "train again, or copy it anew"

@@ -18,7 +18,8 @@ import safetensors
 from flax import nnx
 from safetensors.numpy import load_file, save_file
 
-from gnnjax.errors import InputError, atomic_write
+from gnnjax.errors import InputError, brief, one_line
+from gnnjax.files import atomic_write
 
 # Kinds of networks, where they are, and the planners that take them. Imported when asked for: the
 # default planner loads none but its own.
@@ -112,8 +113,8 @@ def check_format(path: Path, meta: Any) -> dict[str, Any]:
         found = meta.get("format") if isinstance(meta, dict) else meta
         version = meta.get("version", "unknown") if isinstance(meta, dict) else "unknown"
         raise InputError(
-            f"{str(path)!r} has format {found!r} (gnnjax {version}), this version reads format "
-            f"{FORMAT}; train again, or install the version that wrote it"
+            f"{str(path)!r} has format {brief(found)} (version {brief(version)}), this one reads "
+            f"format {FORMAT}; train again, or install the version that wrote it"
         )
     return meta
 
@@ -187,7 +188,7 @@ def _named(state: dict[str, Any]) -> dict[str, Any]:
 
 
 def _damaged(path: Path, error: Exception) -> InputError:
-    reason = " ".join(str(error).split())[:120]
+    reason = one_line(str(error), 120)
     return InputError(
         f"{str(path)!r} is damaged or no file of weights ({reason}); train again, or copy it anew"
     )

@@ -1,0 +1,201 @@
+"""Files that are never half written, and a lock for what one command writes at a time."""
+
+import contextlib
+import math
+import os
+import re
+import shlex
+import socket
+import sys
+import tempfile
+import time
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gnnjax.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # no POSIX: no locks, and leftovers of killed commands stay
+    fcntl = None
+
+
+def check_target(path: str | Path) -> Path:
+    """Returns the path of a file to be written, or says why no file can have it."""
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{str(path)!r} is a folder; name a file")
+    folder = next(parent for parent in path.parents if parent.exists())
+    if not folder.is_dir():
+        raise InputError(
+            f"{str(path)!r} cannot be made, as {str(folder)!r} is a file; name a folder"
+        )
+    return path
+
+
+def atomic_write(path: str | Path, write: Callable[[Path], object]) -> None:
+    """Replaces `path` by what `write` puts into the file it is given, or leaves it untouched.
+
+    The temporary file lies beside the target, so that the final rename stays on one file system
+    and a crash or a full disk cannot leave half a file under the final name. What a killed command
+    left of the same target is removed.
+    """
+    path = check_target(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _remove_leftovers(path)
+    handle, temporary = _open_temporary(path)
+    try:
+        write(temporary)
+        os.fsync(handle)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes it private
+        os.replace(temporary, path)
+    except OSError as error:  # of the temporary file, which the user does not know, or of none
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def locked(path: str | Path) -> Iterator[None]:
+    """Holds the lock of a target: the file `.NAME.lock` beside it, which names its holder.
+
+    The system takes the lock from a process that dies, however it does.
+
+    Raises:
+        InputError: another process holds it.
+    """
+    path = check_target(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = path.with_name(f".{path.name}.lock")
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            if not _try_lock(handle):
+                holder = os.pread(handle, 1000, 0).decode(errors="replace") or "another process"
+                raise InputError(
+                    f"{str(path)!r} is being written by {holder}; wait until it ends, or choose "
+                    "another place"
+                )
+            if os.fstat(handle).st_nlink:
+                break
+            os.close(handle)  # the holder before us has just removed it: make it anew
+        except BaseException:
+            os.close(handle)
+            raise
+    try:
+        command = shlex.join([Path(sys.argv[0]).stem, *sys.argv[1:]])[:120]
+        holder = (
+            f"process {os.getpid()} on {socket.gethostname()}, since "
+            f"{time.strftime('%Y-%m-%d %H:%M:%S')} ({command})"
+        )
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, holder.encode(errors="replace"), 0)
+        yield
+    finally:
+        # First removed, then given free, so that nobody holds a lock that is not there.
+        lock.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def is_leftover(name: str) -> bool:
+    """Whether a file is called as `atomic_write` and `locked` call theirs."""
+    return re.fullmatch(r"\..*(\.part-[a-z0-9_]{8}(\..*)?|\.lock)", name) is not None
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Reads all arrays of a problem file, an `.npz` without pickles.
+
+    Raises:
+        InputError: no such file, or something in it is no array.
+    """
+    name = None
+    arrays = {}
+    try:
+        # Not np.load, which takes any other file for a pickle and advises to trust it.
+        with open(path, "rb") as stream, zipfile.ZipFile(stream) as archive:
+            for entry in archive.infolist():
+                name = entry.filename.removesuffix(".npy")
+                if name in arrays:  # of two, one would be left out
+                    raise ValueError("it is there twice")
+                arrays[name] = _read_array(archive, entry)
+    except FileNotFoundError:
+        raise InputError(f"no problem file {str(path)!r}; check the path") from None
+    except IsADirectoryError:
+        raise InputError(f"problem file {str(path)!r} is a folder; check the path") from None
+    except (PermissionError, MemoryError):
+        raise
+    except Exception as error:  # damaged archives raise nearly anything
+        part = "" if name is None else f"array {name!r} of "
+        raise InputError(
+            f"{part}{str(path)!r} cannot be read as a problem set (.npz without pickles): "
+            f"{error}; generate it again"
+        ) from None
+    return arrays
+
+
+def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
+    """Reads an array, for which memory is asked only if the file can fill it."""
+    with archive.open(entry) as file, warnings.catch_warnings():
+        warnings.simplefilter("error")  # of old or odd headers
+        try:
+            read = {
+                (1, 0): np.lib.format.read_array_header_1_0,
+                (2, 0): np.lib.format.read_array_header_2_0,
+            }[np.lib.format.read_magic(file)]
+            shape, _, dtype = read(file)
+        except (KeyError, MemoryError, RecursionError):  # what a header of brackets raises
+            raise ValueError("its header is no array's") from None
+        if dtype.hasobject:
+            raise ValueError("it holds Python objects")
+        promised, given = math.prod(shape) * dtype.itemsize, entry.file_size - file.tell()
+        if promised != given or min(shape, default=0) < 0:
+            raise ValueError(f"its header promises {promised} bytes, and there are {given}")
+        file.seek(0)
+        return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _open_temporary(path: Path) -> tuple[int, Path]:
+    """A new file beside `path`, locked, so that it can be told from that of a killed command."""
+    while True:
+        # The suffix is kept because NumPy and matplotlib choose the format by it.
+        handle, name = tempfile.mkstemp(
+            dir=path.parent, prefix=f".{path.stem}.part-", suffix=path.suffix
+        )
+        if _try_lock(handle) and os.fstat(handle).st_nlink:
+            return handle, Path(name)
+        os.close(handle)  # another process took it for a leftover
+
+
+def _remove_leftovers(path: Path) -> None:
+    stem, suffix = re.escape(path.stem), re.escape(path.suffix)
+    pattern = re.compile(rf"\.{stem}\.part-[a-z0-9_]{{8}}{suffix}")
+    with os.scandir(path.parent) as entries:
+        found = [entry.path for entry in entries if pattern.fullmatch(entry.name)]
+    for name in found:
+        with contextlib.suppress(OSError):  # in use, of another user, or just removed
+            handle = os.open(name, os.O_RDWR)
+            try:
+                if fcntl is not None:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises if it is in use
+                    os.unlink(name)
+            finally:
+                os.close(handle)
+
+
+def _try_lock(handle: int) -> bool:
+    """Takes a file's lock, unless another process holds it; it ends with the process."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks
+            return True
+    return True

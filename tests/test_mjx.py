@@ -1,0 +1,261 @@
+"""MJX against MuJoCo's C engine and the fused kernel, and the commands that run on it."""
+
+import contextlib
+import dataclasses
+import io
+import json
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from experiments import compare_labels
+from experiments.benchmark_collision import Engine
+from experiments.compare_labels import CompareConfig, _points, main
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.checker import make_checker
+from gnnjax.collision.mjx import _frames_in_bodies, _placer
+from gnnjax.errors import InputError
+from gnnjax.evaluate import EvaluateConfig, evaluate
+from gnnjax.generate import GenerateConfig, from_problem_set, generate
+from gnnjax.problems.problem import load_problems
+from gnnjax.scene.scene import make_scene
+
+with contextlib.redirect_stdout(io.StringIO()):
+    from mujoco import mjx
+
+MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
+
+# Geoms of all kinds that MJX collides with boxes, among them one that is fixed to the world.
+MIXED = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <default><geom contype="1" conaffinity="1" mass="1"/></default>
+  <asset><mesh name="rock" vertex="0 0 0 .2 0 0 0 .1 0 0 0 .15 .1 .1 .1"/></asset>
+  <worldbody>
+    <geom type="sphere" size="0.04"/>
+    <body>
+      <joint axis="0 0 1" range="-3 3"/>
+      <geom type="capsule" fromto="0 0 0.1 0.1 0 0.4" size="0.05"/>
+      <body pos="0.1 0 0.45">
+        <joint axis="0 1 0" range="-2.6 2.6"/>
+        <geom type="box" pos="0 0.04 0.15" euler="0.3 0.4 0.5" size="0.06 0.04 0.09"/>
+        <body pos="0 0 0.3">
+          <joint axis="0.6 0.8 0" range="-2.6 2.6"/>
+          <geom type="mesh" mesh="rock" pos="0 0 0.1" euler="0.5 0.2 0.1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def tiny(tiny_path):
+    return load_robot(tiny_path)
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robots") / "mixed.xml"
+    path.write_text(MIXED)
+    return load_robot(path)
+
+
+def random_scene(rng, num_boxes, reach=0.9):
+    quats = rng.normal(size=(num_boxes, 4))
+    centers = rng.uniform(-reach, reach, (num_boxes, 3))
+    scene = make_scene(centers, rng.uniform(0.05, 0.25, (num_boxes, 3)), quats)
+    return jax.tree.map(jnp.asarray, scene)
+
+
+def random_configurations(rng, robot, num):
+    q = rng.uniform(robot.joint_lower, robot.joint_upper, (num, robot.num_dof))
+    # Rounding to float32 must not leave the limits.
+    return jnp.asarray(np.clip(q.astype(np.float32), robot.joint_lower, robot.joint_upper))
+
+
+def engine_gaps(robot, scene, q):
+    return Engine(robot, scene, MARGIN).gaps(np.asarray(q, float))
+
+
+def test_it_matches_the_fused_kernel_and_the_c_engine(tiny):
+    rng = np.random.default_rng(4)
+    fused = jax.jit(make_checker(tiny).check_configurations)
+    checker = make_checker(tiny, "mjx")
+    check, clearance = jax.jit(checker.check_configurations), jax.jit(checker.clearance)
+    for num_boxes in (0, 3, 9):
+        scene, q = random_scene(rng, num_boxes), random_configurations(rng, tiny, 200)
+        gaps = engine_gaps(tiny, scene, q)
+        sure = np.abs(gaps) > 1e-4
+        valid = np.asarray(check(scene, q))
+        assert (valid == (gaps > 0))[sure].all()
+        assert (valid == np.asarray(fused(scene, q)))[sure].all()
+        # Penetration depths are distances in MJX, too.
+        deep = gaps < -1e-4
+        np.testing.assert_allclose(clearance(scene, q)[deep], gaps[deep], atol=1e-4)
+    assert clearance(scene, q.reshape(2, 100, -1)).shape == (2, 100)
+
+
+def test_a_shipped_arm_matches_the_fused_kernel_and_the_c_engine():
+    robot, rng = load_robot("kuka_iiwa14"), np.random.default_rng(5)
+    fused = jax.jit(make_checker(robot).check_configurations)
+    check = jax.jit(make_checker(robot, "mjx").check_configurations)
+    num_valid, by_itself = 0, 0
+    for num_boxes in (0, 4, 9):
+        scene, q = random_scene(rng, num_boxes), random_configurations(rng, robot, 1000)
+        gaps = engine_gaps(robot, scene, q)
+        sure = np.abs(gaps) > 1e-4
+        valid = np.asarray(check(scene, q))
+        assert (valid == (gaps > 0))[sure].all()
+        assert (valid == np.asarray(fused(scene, q)))[sure].all()
+        num_valid += valid.sum()
+        by_itself += (gaps < 0).sum() if num_boxes == 0 else 0
+    # Both outcomes, and self-collisions, must have been there to agree on.
+    assert 1500 < num_valid < 2900
+    assert by_itself > 0
+
+
+def test_geoms_of_all_kinds_match_the_c_engine(mixed, quick_compilation):
+    rng = np.random.default_rng(6)
+    check = jax.jit(make_checker(mixed, "mjx").check_configurations)
+    wrong, num_valid = 0, 0
+    for num_boxes in (0, 4, 9):
+        scene, q = random_scene(rng, num_boxes, 1.2), random_configurations(rng, mixed, 400)
+        gaps = engine_gaps(mixed, scene, q)
+        valid = np.asarray(check(scene, q))
+        wrong += ((valid != (gaps > 0)) & (np.abs(gaps) > 1e-4)).sum()
+        num_valid += valid.sum()
+    assert 600 < num_valid < 1190
+    # MJX misses one in a thousand collisions of a capsule and a box.
+    assert wrong <= 3
+
+
+@pytest.mark.parametrize("name", ["tiny", "mixed"])
+def test_poses_are_those_of_mjx(name, request, quick_compilation):
+    robot = request.getfixturevalue(name)
+    q = random_configurations(np.random.default_rng(7), robot, 3)
+    rows = np.arange(len(robot.geom_ids))
+    model = mjx.put_model(robot.mj_model, impl="jax")
+    data = mjx.make_data(robot.mj_model, impl="jax")
+    expected = jax.jit(jax.vmap(lambda q: mjx.kinematics(model, data.replace(qpos=q))))(q)
+
+    def whole(components):
+        full = [np.broadcast_to(x, (len(rows), len(q))) for x in components.flat]
+        return np.stack(full, axis=-1).swapaxes(0, 1).reshape(3, len(rows), *components.shape)
+
+    placed = _placer(robot, _frames_in_bodies(robot), q)(rows)
+    position, rotation = whole(placed.position), whole(placed.rotation)
+    seen = robot.geom_types != mujoco.mjtGeom.mjGEOM_MESH  # which have frames of their own
+    there = expected.geom_xpos[:, robot.geom_ids]
+    np.testing.assert_allclose(position[:, seen], there[:, seen], atol=1e-5)
+    turned = expected.geom_xmat[:, robot.geom_ids]
+    boxes = robot.geom_types == mujoco.mjtGeom.mjGEOM_BOX
+    np.testing.assert_allclose(rotation[:, boxes], turned[:, boxes], atol=1e-5)
+    # Capsules may be turned around their axes.
+    capsules = robot.geom_types == mujoco.mjtGeom.mjGEOM_CAPSULE
+    np.testing.assert_allclose(rotation[:, capsules, :, 2], turned[:, capsules, :, 2], atol=1e-5)
+    assert boxes.any() == capsules.any() == (name == "mixed")
+
+
+def test_what_mjx_cannot_collide_is_refused(tiny, tmp_path):
+    path = tmp_path / "cylinder.xml"
+    geom = '<geom type="sphere" size="0.07" pos="0.15 0 0.02" mass="1"/>'
+    text = tiny.path.read_text()
+    assert geom in text
+    path.write_text(text.replace(geom, '<geom type="cylinder" size="0.1 0.1"/>'))
+    with pytest.raises(InputError, match="MJX cannot collide cylinder"):
+        make_checker(load_robot(path), "mjx")
+
+
+def test_generated_labels_are_those_of_the_c_engine(tiny, tmp_path, quick_compilation):
+    out = tmp_path / "train"
+    settings = {"robot": str(tiny.path), "num_problems": 3, "num_nodes": 24, "shard_size": 3}
+    generate(GenerateConfig(**settings, checker="mjx", out=out))
+    drawn = from_problem_set(load_problems(out, tiny))
+    num_edges, num_valid = 0, 0
+    for i in range(3):
+        scene, roadmap, labels = jax.tree.map(
+            lambda x, i=i: x[i], (drawn.problem.scene, drawn.roadmap, drawn.labels)
+        )
+        node, slot = np.nonzero(roadmap.neighbor_mask)
+        starts, ends = roadmap.nodes[node], roadmap.nodes[roadmap.neighbors[node, slot]]
+        points, edge = _points(starts, ends)
+        gaps = engine_gaps(tiny, scene, points)
+        lowest = np.full(len(starts), np.inf)
+        np.minimum.at(lowest, edge, gaps)
+        agrees = labels.edge_valid[node, slot] == (lowest > 0)
+        assert (agrees | (np.abs(lowest) < 1e-4)).all()
+        num_edges, num_valid = num_edges + len(node), num_valid + labels.edge_valid.sum()
+    assert 0 < num_valid < num_edges
+
+
+def test_plans_are_those_with_the_fused_kernel(tiny, tmp_path, quick_compilation):
+    problems = tmp_path / "problems.npz"
+    settings = {"robot": str(tiny.path), "num_problems": 4}
+    generate(GenerateConfig("test", **settings, seed=3, out=problems))
+    rows = {}
+    for checker in ("mjx", "fused"):
+        config = EvaluateConfig(
+            problems=problems,
+            json=tmp_path / f"{checker}.json",
+            robot=str(tiny.path),
+            planner="lazysp",
+            num_nodes=40,
+            max_roadmaps=2,
+            checker=checker,
+        )
+        rows[checker] = evaluate(config)["problems"]
+    assert any(row["certified"] for row in rows["mjx"])
+    for ours, theirs in zip(*rows.values(), strict=True):
+        for field in ("success", "path", "edge_checks", "configuration_checks"):
+            assert ours[field] == theirs[field]
+
+
+def test_the_default_planner_runs_on_it(tiny, tmp_path, quick_compilation):
+    problems = tmp_path / "problems.npz"
+    generate(GenerateConfig("test", robot=str(tiny.path), num_problems=2, out=problems))
+    config = EvaluateConfig(
+        problems=problems,
+        json=tmp_path / "guided.json",
+        robot=str(tiny.path),
+        num_nodes=40,
+        max_roadmaps=1,
+        checker="mjx",
+    )
+    found = evaluate(config)
+    assert found["settings"]["planner"] == "guided"
+    assert found["summary"]["all"]["certified"] > 0
+
+
+def test_labels_of_all_backends_are_compared(tiny, tmp_path, capsys, quick_compilation):
+    path = tmp_path / "labels.json"
+    main(CompareConfig(robot=str(tiny.path), edges=300, num_nodes=40, json=path))
+    found = json.loads(path.read_text())
+    assert found["edges"] >= 300
+    assert found["scenes"] > 1
+    assert 0 < found["valid"] < found["edges"] < found["configurations"]
+    assert found["differ"] == {"fused from engine": 0, "mjx from engine": 0, "mjx from fused": 0}
+    assert "mjx from engine: 0 labels differ" in capsys.readouterr().out
+
+
+def test_a_judge_that_errs_is_named_with_the_engines_distance(
+    tiny, monkeypatch, capsys, quick_compilation
+):
+    thin = dataclasses.replace(tiny, geom_radii=tiny.geom_radii - 0.01)
+    monkeypatch.setattr(
+        compare_labels,
+        "make_checker",
+        lambda robot, judge: make_checker(thin if judge == "mjx" else robot),
+    )
+    found = main(CompareConfig(robot=str(tiny.path), edges=300, num_nodes=40))
+    wrong = found["contradictions"]
+    assert len(wrong) == found["differ"]["mjx from engine"] == found["differ"]["mjx from fused"] > 0
+    for row in wrong:
+        assert row["judge"] == "mjx"
+        assert row["judge_says_valid"]
+        assert -20.1 < row["engine_mm"] <= 0.0  # two spheres, each 10 mm thinner
+    assert "mjx says valid, the engine's distance there is -" in capsys.readouterr().out
