@@ -22,7 +22,8 @@ import tyro
 
 from experiments.benchmark_collision import Engine
 from gnnjax.collision import EDGE_RESOLUTION, Checker, boxes_clear, make_checker
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write
 from gnnjax.roadmap import Roadmap, default_radius, sample_roadmap
 from gnnjax.robot import Robot, load_robot
 from gnnjax.sampling import sample_free
