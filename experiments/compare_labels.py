@@ -23,7 +23,8 @@ import tyro
 from experiments.benchmark_collision import Engine
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, Checker, boxes_clear, make_checker
-from gnnjax.errors import InputError, atomic_write, run_command
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write
 from gnnjax.roadmap.graph import Roadmap, default_radius, sample_roadmap
 from gnnjax.roadmap.sampling import sample_free
 from gnnjax.scene.scene import Scene, sample_scene

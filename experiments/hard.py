@@ -5,9 +5,9 @@
 The problems of Figure 5 in strata, from the same runs (N = 1000): the straight line from start to
 goal free or blocked; how many boxes; and how narrow the way is, which is the least clearance of
 the arm along the roadmap's shortest path (PRM's, first seed, seen every 0.05 rad). Less than 1 cm
-counts as a narrow passage. Then 50 problems of each family of hard scenes (`gnnjax.problems.families`): thin
-walls, shelves, many boxes, turned anyhow. The guidance network never saw these; the motion network
-was trained on scenes of these kinds, though on none of these.
+counts as a narrow passage. Then 50 problems of each family of hard scenes
+(`gnnjax.problems.families`): thin walls, shelves, many boxes, turned anyhow. The guidance network
+never saw these; the motion network was trained on scenes of these kinds, though on none of these.
 """
 
 import dataclasses

@@ -49,10 +49,10 @@ def _arm() -> None:
 
 def _arm_and_problems() -> None:
     _arm()
-    save_problems(_PROBLEMS, ProblemSet("tiny", _problems(np.arange(4))))
+    save_problems(_PROBLEMS, ProblemSet("tiny", numbered_problems(np.arange(4))))
 
 
-def _problems(numbers: np.ndarray) -> Problem:
+def numbered_problems(numbers: np.ndarray) -> Problem:
     """Problems that are told apart by their numbers."""
     q = np.repeat(np.asarray(numbers, np.float32)[:, None] / 100, 3, axis=1)
     scene = make_scene([[1.0, 0.0, 0.5]], [[0.1, 0.2, 0.3]])
@@ -60,7 +60,7 @@ def _problems(numbers: np.ndarray) -> Problem:
     return Problem(q, -q, scenes)
 
 
-def _keep_keys(seed: int, split: str, first: int, num: int, family: str) -> np.ndarray:
+def plain_keys(seed: int, split: str, first: int, num: int, family: str) -> np.ndarray:
     return np.arange(first, first + num)
 
 
@@ -91,8 +91,8 @@ def _finish(act: Callable[[], object]) -> None:
 def _generate(out: Path) -> None:
     config = GenerateConfig(robot=str(_ROBOT), num_problems=5, num_nodes=0, shard_size=2, out=out)
     with (
-        mock.patch.object(gnnjax.generate, "generate_labelled", return_value=_problems),
-        mock.patch.object(gnnjax.generate, "problem_keys", _keep_keys),
+        mock.patch.object(gnnjax.generate, "generate_labelled", return_value=numbered_problems),
+        mock.patch.object(gnnjax.generate, "problem_keys", plain_keys),
     ):
         _finish(lambda: gnnjax.generate.generate(config))
 
@@ -188,7 +188,7 @@ def _train(folder: Path) -> None:
         validate_every=2,
         validation_problems=0,
     )
-    problems = ProblemSet("tiny", _problems(np.arange(4)))
+    problems = ProblemSet("tiny", numbered_problems(np.arange(4)))
     with contextlib.ExitStack() as stack:
         stack.enter_context(_without_jax())
         for name, cheap in {

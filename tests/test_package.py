@@ -32,13 +32,12 @@ def test_files_that_the_texts_name_exist():
 
 
 def test_no_module_imports_one_that_comes_after_it():
-    order = (
-        "interruption errors files mjcf robot kinematics geometry components scene world "
-        "collision mjx_backend certify sampling roadmap labels problem workspace validity "
-        "occupancy encoding model motion checkpoint run search shorten stored guided compilation query guided_planner "
-        "planner ledger classical families family_problem generate losses train train_motion "
-        "evaluate plot plan"
-    ).split()
+    order = """
+    interruption errors files mjcf robot kinematics geometry components scene world collision
+    mjx_backend certify sampling roadmap labels problem workspace validity occupancy encoding model
+    motion checkpoint run search shorten stored guided compilation query guided_planner planner
+    ledger classical families family_problem generate losses train train_motion evaluate plot plan
+    """.split()
     modules = {path.stem for path in (ROOT / "gnnjax").glob("*.py")} - {"__init__"}
     assert modules == set(order)
     for module in order:
