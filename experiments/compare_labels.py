@@ -19,13 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from gnnjax.roadmap.sampled import sample_free
 
 from experiments.benchmark_collision import Engine
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, Checker, boxes_clear, make_checker
-from gnnjax.errors import InputError, atomic_write, run_command
-from gnnjax.roadmap.graph import Roadmap, default_radius, sample_roadmap
+from gnnjax.errors import InputError, run_command
+from gnnjax.files import atomic_write
+from gnnjax.roadmap.graph import Roadmap, default_radius
+from gnnjax.roadmap.sampled import sample_free, sample_roadmap
 from gnnjax.scene.scene import Scene, sample_scene
 
 _BLOCK = 1024  # edges labelled at once

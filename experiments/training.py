@@ -12,8 +12,7 @@ def trained(config: TrainMotionConfig) -> Path:
     weights = config.out / "weights.safetensors"
     if weights.exists():
         return weights
-    begun = (config.out / "checkpoints").exists() and any((config.out / "checkpoints").iterdir())
-    return train_motion(dataclasses.replace(config, resume=begun))
+    return train_motion(dataclasses.replace(config, resume=True))
 
 
 def command(config: TrainMotionConfig) -> str:

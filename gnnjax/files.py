@@ -75,7 +75,10 @@ def locked(path: str | Path) -> Iterator[None]:
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = path.with_name(f".{path.name}.lock")
     while True:
-        handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:  # of the lock, which the user does not know
+            raise OSError(error.errno, error.strerror, str(path)) from error
         try:
             if not _try_lock(handle):
                 holder = os.pread(handle, 1000, 0).decode(errors="replace") or "another process"
@@ -90,18 +93,20 @@ def locked(path: str | Path) -> Iterator[None]:
             os.close(handle)
             raise
     try:
-        command = shlex.join([Path(sys.argv[0]).stem, *sys.argv[1:]])[:120]
-        holder = (
-            f"process {os.getpid()} on {socket.gethostname()}, since "
-            f"{time.strftime('%Y-%m-%d %H:%M:%S')} ({command})"
-        )
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, holder.encode(errors="replace"), 0)
+        with contextlib.suppress(OSError):  # a full disk is said where something is to be written
+            os.ftruncate(handle, 0)
+            os.pwrite(handle, _this_process().encode(errors="replace"), 0)
         yield
     finally:
         # First removed, then given free, so that nobody holds a lock that is not there.
         lock.unlink(missing_ok=True)
         os.close(handle)
+
+
+def _this_process() -> str:
+    command = shlex.join([*(Path(word).stem for word in sys.argv[:1]), *sys.argv[1:]])
+    began = time.strftime("%Y-%m-%d %H:%M:%S")
+    return f"process {os.getpid()} on {socket.gethostname()}, since {began} ({command[:80]})"
 
 
 def is_leftover(name: str) -> bool:

@@ -36,15 +36,15 @@ class Interrupted(KeyboardInterrupt):
 
 
 def is_command(arguments: list[str], first: str) -> bool:
-    """Whether Python was started for a module of this package, and is looking for it just now.
+    """Whether Python was started for a module of ours, and is looking for it just now.
 
     Args:
         arguments: `sys.orig_argv`.
         first: `sys.argv[0]`, which is "-m" until the module is found.
     """
     named = [after for word, after in itertools.pairwise(arguments) if word == "-m"]
-    named += [word.removeprefix("-m") for word in arguments if word.startswith("-mgnnjax")]
-    return first == "-m" and any(name.startswith("gnnjax.") for name in named[:1])
+    named += [word.removeprefix("-m") for word in arguments if word.startswith("-m")]
+    return first == "-m" and named[0].startswith(("gnnjax.", "experiments."))
 
 
 def install() -> None:
@@ -53,10 +53,11 @@ def install() -> None:
     for number in _WORDS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _handle)
-    read, write = os.pipe()
-    os.set_blocking(write, False)
-    signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-    threading.Thread(target=_watch, args=(read,), daemon=True).start()
+    if os.name == "posix":
+        read, write = os.pipe()
+        os.set_blocking(write, False)
+        signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+        threading.Thread(target=_watch, args=(read,), daemon=True).start()
 
 
 @contextlib.contextmanager

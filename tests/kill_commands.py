@@ -18,7 +18,7 @@ import gnnjax.evaluate
 import gnnjax.generate
 import gnnjax.train
 import gnnjax.train_motion
-import gnnjax.training.checkpoint
+import gnnjax.training.weights
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
@@ -29,7 +29,7 @@ from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import make_scene
 from gnnjax.train import TrainConfig
 from gnnjax.train_motion import TrainMotionConfig
-from gnnjax.training.checkpoint import load_network, read_metadata
+from gnnjax.training.weights import load_network, read_metadata
 
 
 class Command(NamedTuple):
@@ -49,10 +49,10 @@ def _arm() -> None:
 
 def _arm_and_problems() -> None:
     _arm()
-    save_problems(_PROBLEMS, ProblemSet("tiny", _problems(np.arange(4))))
+    save_problems(_PROBLEMS, ProblemSet("tiny", numbered_problems(np.arange(4))))
 
 
-def _problems(numbers: np.ndarray) -> Problem:
+def numbered_problems(numbers: np.ndarray) -> Problem:
     """Problems that are told apart by their numbers."""
     q = np.repeat(np.asarray(numbers, np.float32)[:, None] / 100, 3, axis=1)
     scene = make_scene([[1.0, 0.0, 0.5]], [[0.1, 0.2, 0.3]])
@@ -60,7 +60,7 @@ def _problems(numbers: np.ndarray) -> Problem:
     return Problem(q, -q, scenes)
 
 
-def _keep_keys(seed: int, split: str, first: int, num: int, family: str) -> np.ndarray:
+def plain_keys(seed: int, split: str, first: int, num: int, family: str) -> np.ndarray:
     return np.arange(first, first + num)
 
 
@@ -91,8 +91,8 @@ def _finish(act: Callable[[], object]) -> None:
 def _generate(out: Path) -> None:
     config = GenerateConfig(robot=str(_ROBOT), num_problems=5, num_nodes=0, shard_size=2, out=out)
     with (
-        mock.patch.object(gnnjax.generate, "generate_labelled", return_value=_problems),
-        mock.patch.object(gnnjax.generate, "problem_keys", _keep_keys),
+        mock.patch.object(gnnjax.generate, "generate_labelled", return_value=numbered_problems),
+        mock.patch.object(gnnjax.generate, "problem_keys", plain_keys),
     ):
         _finish(lambda: gnnjax.generate.generate(config))
 
@@ -157,7 +157,7 @@ class _Network(nnx.Module):
     config: dict = {}  # noqa: RUF012
 
 
-gnnjax.training.checkpoint._KINDS[_Network.__name__] = _Network
+gnnjax.training.weights._KINDS[_Network.__name__] = (__name__, "nobody")
 
 _OPTIMIZER = types.SimpleNamespace(init=lambda weights: {"count": np.int32(0)})
 
@@ -188,7 +188,7 @@ def _train(folder: Path) -> None:
         validate_every=2,
         validation_problems=0,
     )
-    problems = ProblemSet("tiny", _problems(np.arange(4)))
+    problems = ProblemSet("tiny", numbered_problems(np.arange(4)))
     with contextlib.ExitStack() as stack:
         stack.enter_context(_without_jax())
         for name, cheap in {
@@ -233,12 +233,12 @@ def _run_folder(folder: Path) -> dict[str, Any]:
     log = [_timeless(json.loads(x)) for x in (folder / "log.jsonl").read_text().splitlines()]
     found: dict[str, Any] = {"names": sorted(names), "log": log}
     found["beside"] = sorted(p.name for p in folder.parent.iterdir())
-    for name in ("weights", *sorted(n for n in names if n.startswith("checkpoints/"))):
+    for name in ("weights.safetensors", *sorted(n for n in names if n.startswith("checkpoints/"))):
         meta = read_metadata(folder / name)
         meta["training"]["log"] = [_timeless(x) for x in meta["training"].get("log", [])]
         meta["log"] = [_timeless(x) for x in meta.get("log", [])]
         found[name] = meta
-    found["kernel"] = np.asarray(load_network(folder / "weights").kernel[...]).tolist()
+    found["kernel"] = np.asarray(load_network(folder / "weights.safetensors").kernel[...]).tolist()
     events = [p.read_bytes() for p in (folder / "tensorboard").iterdir()]
     found["events"] = len(events), sum(data.count(b"loss") for data in events)
     return found

@@ -3,6 +3,7 @@
     python -m tests.kill_points                            # all points of all commands
     python -m tests.kill_points --commands train --points 30
     python -m tests.kill_points --random 50                # SIGKILL at random times instead
+    python -m tests.kill_points --terminate                # SIGTERM at all points instead
 
 A killed process leaves without a word, as after SIGKILL: nothing is flushed, closed or removed. The
 file code is the real one, Orbax's included; what is drawn, planned and learned is a few numbers, so
@@ -34,19 +35,27 @@ from unittest import mock
 sys.path.insert(0, str(Path(__file__).parent))
 from kill_commands import COMMANDS
 
+from gnnjax import interruption
+
 _NAMES = (
     "chmod fsync ftruncate link makedirs mkdir pwrite remove rename replace rmdir symlink truncate "
     "unlink write"
 ).split()
 _KILLED = 9
 _LIMIT_S = 120
+_TERMINATED = "terminated; start the same command again to go on\n"
 
 
 class Knife:
-    """Counts file operations, and ends the process before or after one of them."""
+    """Counts file operations, and strikes before or after one of them.
 
-    def __init__(self, point: int | None = None):
-        self.point = point  # twice the operation's number; one more for after it
+    Args:
+        point: twice the operation's number; one more for after it.
+        terminate: send SIGTERM, which a command answers, instead of ending the process.
+    """
+
+    def __init__(self, point: int | None = None, terminate: bool = False):
+        self.point, self.terminate = point, terminate
         self.count = 0
         self._lock, self._inside = threading.RLock(), threading.local()
 
@@ -56,15 +65,19 @@ class Knife:
             return call(*args, **kwargs)
         with self._lock:
             number, self.count = self.count, self.count + 1
-        if self.point == 2 * number:
-            os._exit(_KILLED)
+        self._reach(2 * number)
         self._inside.busy = True
         try:
             return call(*args, **kwargs)
         finally:
             self._inside.busy = False
-            if self.point == 2 * number + 1:
-                os._exit(_KILLED)
+            self._reach(2 * number + 1)
+
+    def _reach(self, point: int) -> None:
+        if self.point == point and self.terminate:
+            os.kill(os.getpid(), signal.SIGTERM)
+        elif self.point == point:
+            os._exit(_KILLED)
 
     @contextlib.contextmanager
     def drawn(self) -> Iterator[None]:
@@ -178,7 +191,9 @@ def undisturbed(name: str, folder: Path) -> Case:
     return Case(name, int((folder / "count").read_text()), run.seconds, seen)
 
 
-def try_point(case: Case, point: int, folder: Path, at_s: float | None = None) -> tuple[bool, str]:
+def try_point(
+    case: Case, point: int, folder: Path, at_s: float | None = None, terminate: bool = False
+) -> tuple[bool, str]:
     """Kills a run, then resumes it; whether it was killed, and what is wrong afterwards."""
     command = COMMANDS[case.name]
     (folder / "work").mkdir(parents=True)
@@ -186,7 +201,9 @@ def try_point(case: Case, point: int, folder: Path, at_s: float | None = None) -
     def killed() -> None:
         os.chdir(folder / "work")
         command.prepare()
-        with Knife(None if at_s is not None else point).drawn():
+        if terminate:
+            interruption.install()
+        with Knife(None if at_s is not None else point, terminate).drawn():
             command.run(Path("run"))
 
     def resumed() -> None:
@@ -196,7 +213,10 @@ def try_point(case: Case, point: int, folder: Path, at_s: float | None = None) -
         (folder / "seen").write_bytes(pickle.dumps(command.look(Path("run"))))
 
     first = run_forked(killed, at_s)
-    if first.status not in (0, _KILLED, -_KILLED):
+    ended = 128 + signal.SIGTERM
+    if terminate and (first.status, first.words) not in ((0, ""), (ended, _TERMINATED)):
+        return True, f"the run to be terminated ended with {first.status}: {first.words[-500:]}"
+    if first.status not in (0, _KILLED, -_KILLED, ended):
         return True, f"the run to be killed ended with {first.status}: {first.words[-500:]}"
     second = run_forked(resumed)
     if second.status or second.words:
@@ -211,7 +231,7 @@ def try_point(case: Case, point: int, folder: Path, at_s: float | None = None) -
 
 
 def try_command(
-    name: str, most: int | None = None, times: int = 0, workers: int = 2
+    name: str, most: int | None = None, times: int = 0, terminate: bool = False, workers: int = 2
 ) -> dict[str, Any]:
     """Kills a command and counts what became of it.
 
@@ -219,6 +239,7 @@ def try_command(
         name: of the command.
         most: points to try, spread evenly; by default all.
         times: random times to try instead.
+        terminate: by SIGTERM, not SIGKILL.
         workers: processes that try points side by side.
     """
     with tempfile.TemporaryDirectory() as temporary:
@@ -236,7 +257,7 @@ def try_command(
             with open(folder / f"worker{worker}", "w") as out:
                 for point, at_s in itertools.islice(points, worker, None, workers):
                     place = folder / f"point{point}"
-                    killed, wrong = try_point(case, point, place, at_s)
+                    killed, wrong = try_point(case, point, place, at_s, terminate)
                     print(json.dumps([point, killed, wrong]), file=out, flush=True)
 
         children = []
@@ -268,10 +289,11 @@ def main() -> int:
     parser.add_argument("--commands", nargs="+", choices=list(COMMANDS), default=list(COMMANDS))
     parser.add_argument("--points", type=int, help="try so many, spread evenly; by default all")
     parser.add_argument("--random", type=int, default=0, help="random times instead of points")
+    parser.add_argument("--terminate", action="store_true", help="SIGTERM instead of SIGKILL")
     arguments = parser.parse_args()
     wrong = 0
     for name in arguments.commands:
-        found = try_command(name, arguments.points, arguments.random)
+        found = try_command(name, arguments.points, arguments.random, arguments.terminate)
         print(
             f"{name}: {found['operations']} file operations, {found['tried']} points tried, "
             f"{found['killed']} killed, {found['equal']} equal after the resumed run",

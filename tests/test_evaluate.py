@@ -13,6 +13,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate, print_summary, summarize
+from gnnjax.files import locked
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.planning.planner import Planner, make_planner
 from gnnjax.problems.problem import load_problems, save_problems
@@ -115,6 +116,23 @@ def test_a_run_that_was_cut_off_goes_on(tiny_path, problems, results, tmp_path):
     resumed = evaluate(config(tiny_path, problems, out))
     assert resumed["problems"][:3] == results["problems"][:3]  # times too: nothing was redone
     assert without_times(resumed["problems"]) == without_times(results["problems"])
+
+
+def test_two_evaluations_do_not_share_a_file(tiny_path, problems, tmp_path):
+    out = tmp_path / "results.json"
+    with locked(out):
+        with pytest.raises(InputError, match=r"is being written by process .*; wait until it ends"):
+            evaluate(config(tiny_path, problems, out))
+    assert not out.exists()
+
+
+def test_rows_that_are_no_results_are_refused(tiny_path, problems, results, tmp_path):
+    out = tmp_path / "bad.json"
+    rows = results["problems"]
+    for bad in (rows[1:], [1, 2], [{"index": 0}], {"a": 1}, "rows"):
+        out.write_text(json.dumps({**results, "problems": bad}))
+        with pytest.raises(InputError, match="exists and holds no results; remove it"):
+            evaluate(config(tiny_path, problems, out))
 
 
 def test_a_file_from_before_an_option_has_its_default(tiny_path, problems, results, tmp_path):

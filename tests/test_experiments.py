@@ -4,7 +4,6 @@ import dataclasses
 import json
 import shlex
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -23,12 +22,11 @@ from experiments import (
     run_all,
 )
 from experiments.bounds import first_roadmap, per_verification
-from experiments.cases import CLASSICAL, GUIDED, classical_case, own_case
+from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, own_case
 from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
-from gnnjax.planning.planner import Method
 
 EXPERIMENTS = {
     "figure5": (figure5.Figure5Config, figure5.run),
@@ -70,7 +68,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(
     monkeypatch.setattr(measure, "evaluate", counted)
     # Training has tests of its own.
     monkeypatch.setattr("experiments.training.trained", lambda config: Path("motion"))
-    own = {*get_args(Method), "gnn_paper"}
+    own = {*OURS, "gnn_paper"}
     more = {"ompl:rrt_connect@0.02", "ompl:rrt_connect@simplified"}
     expected = {
         "figure5": own | set(GUIDED) | set(CLASSICAL) | more,

@@ -10,12 +10,12 @@ import pytest
 import tyro
 from scipy.spatial.transform import Rotation
 
-from gnnjax import family_problem
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import configuration_clearance
 from gnnjax.collision.checker import boxes_clear, make_checker
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, generate, generate_labelled, problem_keys
+from gnnjax.problems import family_problem
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import arm_reach, sample_family_problem
 from gnnjax.problems.problem import load_problems, read_manifest

@@ -8,9 +8,11 @@ import time
 
 import numpy as np
 import pytest
+from kill_commands import numbered_problems, plain_keys
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+import gnnjax.generate
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import configuration_clearance
 from gnnjax.errors import InputError
@@ -149,3 +151,96 @@ def test_a_folder_of_other_things_is_left_alone(tiny_path, tmp_path):
             generate(GenerateConfig(robot=str(tiny_path), num_problems=1, num_nodes=0, out=out))
     assert (tmp_path / "p.parts" / "notes.txt").read_text() == "kept"
     assert (tmp_path / "file").read_text() == "kept"
+
+
+@pytest.fixture
+def cheap(monkeypatch, tiny_path):
+    """Makes `out -> GenerateConfig` of five problems that cost nothing, in shards of two."""
+    monkeypatch.setattr(gnnjax.generate, "generate_labelled", lambda *args: numbered_problems)
+    monkeypatch.setattr(gnnjax.generate, "problem_keys", plain_keys)
+    settings = {"robot": str(tiny_path), "num_problems": 5, "num_nodes": 0, "shard_size": 2}
+    return lambda out, **changes: GenerateConfig(out=out, **{**settings, **changes})
+
+
+def numbers(path, tiny_path):
+    """Which problems a set holds."""
+    return np.round(100 * load_problems(path, load_robot(tiny_path)).problems.start[:, 0]).tolist()
+
+
+@pytest.mark.parametrize("name", ["set.npz", "set"])
+def test_of_two_generators_of_one_set_the_second_is_refused(
+    cheap, tiny_path, tmp_path, monkeypatch, name
+):
+    out, refusals = tmp_path / name, []
+
+    def interrupted_by_another(keys):
+        if keys[0] == 2:  # one shard is there
+            with pytest.raises(InputError) as error:
+                generate(cheap(out))
+            refusals.append(str(error.value))
+        return numbered_problems(keys)
+
+    monkeypatch.setattr(gnnjax.generate, "generate_labelled", lambda *args: interrupted_by_another)
+    generate(cheap(out))
+    assert numbers(out, tiny_path) == [0, 1, 2, 3, 4]
+    (refusal,) = refusals
+    assert "is being written by process" in refusal
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda shard: shard.unlink(),
+        lambda shard: shard.write_bytes(shard.read_bytes()[:-50]),
+        lambda shard: shard.write_bytes(b""),
+    ],
+)
+def test_a_shard_that_was_lost_or_cut_is_made_again(cheap, tiny_path, tmp_path, damage):
+    out = tmp_path / "set"
+    generate(cheap(out))
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    damage(out / "shard_00001.npz")
+    generate(cheap(out))
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert numbers(out, tiny_path) == [0, 1, 2, 3, 4]
+
+
+def test_a_run_killed_at_its_first_manifest_goes_on(cheap, tiny_path, tmp_path):
+    out = tmp_path / "set"
+    generate(cheap(tmp_path / "whole"))
+    out.mkdir()
+    for name in ("shard_00000.npz", ".manifest.json.lock", ".manifest.part-abcdefgh.json"):
+        (out / name).write_bytes(b"half")
+    generate(cheap(out))
+    names = {path.name for path in (tmp_path / "whole").iterdir()}
+    assert {path.name for path in out.iterdir()} == names
+    assert numbers(out, tiny_path) == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("removed", [0, 1, 3])
+def test_a_run_killed_after_its_last_rename_takes_its_parts_away(
+    cheap, tiny_path, tmp_path, monkeypatch, removed
+):
+    out = tmp_path / "set.npz"
+    monkeypatch.setattr(gnnjax.generate, "_remove_parts", lambda folder: None)
+    generate(cheap(out))
+    monkeypatch.undo()
+    for index in range(removed):
+        (tmp_path / "set.parts" / f"shard_{index:05d}.npz").unlink()
+    generate(cheap(out))
+    assert [path.name for path in tmp_path.iterdir()] == ["set.npz"]
+    assert numbers(out, tiny_path) == [0, 1, 2, 3, 4]
+
+
+def test_a_file_that_is_done_is_done(cheap, tmp_path, capsys):
+    out = tmp_path / "set.npz"
+    generate(cheap(out))
+    before = out.stat().st_mtime_ns
+    generate(cheap(out))
+    assert out.stat().st_mtime_ns == before
+    assert capsys.readouterr().out.count("5 problems in") == 2
+    for change in ({"seed": 1}, {"num_problems": 4}, {"num_nodes": 20}):
+        with pytest.raises(InputError, match=r"set.npz' exists; remove it"):
+            generate(cheap(out, **change))
+    assert out.stat().st_mtime_ns == before

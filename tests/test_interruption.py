@@ -66,8 +66,10 @@ def test_a_library_import_leaves_the_users_handlers():
     [
         ("python -m gnnjax.plan --scene s", "-m", True),
         ("python -X dev -mgnnjax.train", "-m", True),
+        ("python -m experiments.arms", "-m", True),
         ("python -m gnnjax.plan", "plan.py", False),  # the module was found, and imports others
         ("python -m pytest -m gnnjax.plan", "-m", False),
+        ("python -m gnnjaxy.plan", "-m", False),
         ("python -c pass -m gnnjax.plan", "-c", False),
         ("python", "", False),
     ],

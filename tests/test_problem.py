@@ -216,6 +216,32 @@ def test_damaged_files_are_refused_or_harmless(tmp_path, robot):
     assert refused > 100
 
 
+def header(shape: str) -> bytes:
+    text = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\0" + len(text).to_bytes(2, "little") + text + b"\0" * 84
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"text", "array 'start' of .* cannot be read"),
+        (header("(1099511627776, 7)"), "promises 30786325577728 bytes, and there are 84; generate"),
+        (header("(-3, -7)"), "cannot be read"),
+        (header("(" * 9000), "cannot be read"),
+        (b"\x93NUMPY\x01\0\x10\0" + b"(" * 16, "cannot be read"),
+    ],
+)
+def test_what_is_no_array_is_named_as_a_broken_file(tmp_path, robot, data, message):
+    save_problems(tmp_path / "set.npz", random_set())
+    with zipfile.ZipFile(tmp_path / "set.npz") as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(tmp_path / "bad.npz", "w") as archive:
+        for name, value in {**entries, "start.npy": data}.items():
+            archive.writestr(name, value)
+    with pytest.raises(InputError, match=message):
+        load_problems(tmp_path / "bad.npz", robot)
+
+
 def test_other_files_are_input_errors(tmp_path, robot):
     np.save(tmp_path / "bad.npy", np.zeros(3))
     (tmp_path / "bad.txt").write_text("hello")
@@ -278,12 +304,18 @@ def test_a_shard_that_changed_or_vanished_is_refused(tmp_path, robot):
         '{"shards": []}',
         '{"shards": [{"file": "a.npz"}]}',
         json.dumps({"shards": [{"file": "../a.npz", "sha256": ""}]}),
+        "[" * 100_000 + "]" * 100_000,
+        *(
+            json.dumps({"shards": [{"file": name, "problems": 1, "sha256": ""}]})
+            for name in ("a" * 400, "", ".", "..", "a\0b", "\ud800")
+        ),
     ],
 )
 def test_a_broken_manifest_is_an_input_error(tmp_path, robot, text):
     (tmp_path / MANIFEST).write_text(text)
-    with pytest.raises(InputError, match=r"manifest\.json"):
+    with pytest.raises(InputError, match=r"manifest\.json") as error:
         load_problems(tmp_path, robot)
+    assert len(str(error.value)) < 300
 
 
 def test_a_folder_without_manifest_is_an_input_error(tmp_path, robot):

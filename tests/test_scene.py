@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import gnnjax.scene.scene
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import (
     BOX_BUCKETS,
@@ -197,6 +198,29 @@ def test_a_missing_file_and_too_many_boxes_are_input_errors(tmp_path):
 
 def half_space_is_clear(scene: Scene):
     return scene.centers[:, 0] > 0.0
+
+
+def test_a_folder_is_no_scene_file(tmp_path):
+    with pytest.raises(InputError, match="is a folder; name a file"):
+        scene_from_json(tmp_path)
+
+
+def test_a_million_boxes_are_refused_before_each_is_looked_at(tmp_path, monkeypatch):
+    text = "{}," * 999_999 + "{}"
+    (tmp_path / "scene.json").write_text(f'{{"boxes": [{text}]}}')
+    looked_at = []
+    monkeypatch.setattr(gnnjax.scene.scene, "_check_json_box", lambda *args: looked_at.append(args))
+    with pytest.raises(InputError, match=r"has 1000000 boxes; at most 64 are supported"):
+        scene_from_json(tmp_path / "scene.json")
+    assert not looked_at
+
+
+def test_a_value_of_a_megabyte_is_not_repeated(tmp_path):
+    box = {**BOX, "quat": [1] * 300_000}
+    (tmp_path / "scene.json").write_text(json.dumps({"boxes": [box]}))
+    with pytest.raises(InputError, match=r"box 0 of .* give a list of 4 numbers") as error:
+        scene_from_json(tmp_path / "scene.json")
+    assert len(str(error.value)) < 300
 
 
 def test_sampled_scenes_follow_the_paper_and_stay_clear_of_the_arm():

@@ -15,6 +15,7 @@ from tensorboardX.proto.event_pb2 import Event
 from tensorboardX.record_writer import masked_crc32c
 
 import gnnjax.train
+import gnnjax.training.run
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, from_problem_set, generate
@@ -26,6 +27,7 @@ from gnnjax.problems.problem import load_problems
 from gnnjax.roadmap.graph import GOAL
 from gnnjax.train import LOSS_OPTIONS, PRESETS, TrainState, make_optimizer, parse, train
 from gnnjax.training.checkpoint import TrainingCheckpoints
+from gnnjax.training.run import TrainingRun
 from gnnjax.training.weights import load_network, read_metadata
 
 
@@ -180,7 +182,7 @@ def test_a_run_logs_validates_and_leaves_weights_that_plan(tiny_path, smoke):
     assert meta["model"]["channels"] == 8
 
 
-def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
+def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch, capfd):
     config = dataclasses.replace(smoke, out=tmp_path / "cut")
     validate, calls = gnnjax.train.validate, []
 
@@ -202,7 +204,9 @@ def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
         train(config)
     with pytest.raises(InputError, match=r"has learning_rate 0\.003, not 1\.0"):
         train(dataclasses.replace(config, resume=True, learning_rate=1.0))
+    capfd.readouterr()
     train(dataclasses.replace(config, resume=True))
+    assert capfd.readouterr().err == ""
     assert records(config) == records(smoke)
     weights = [
         jax.tree.leaves(nnx.state(load_network(c.out / "weights.safetensors"), nnx.Param))
@@ -210,6 +214,56 @@ def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch):
     ]
     for ours, theirs in zip(*weights, strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_kill_between_checkpoint_and_log_loses_no_record(network, tmp_path, monkeypatch):
+    state = TrainState(nnx.state(network, nnx.Param), {})
+    whole = [{"epoch": 1, "loss": 0.5}, {"epoch": 2, "loss": 0.25}]
+
+    def killed(*args):
+        raise KeyboardInterrupt
+
+    with TrainingRun(tmp_path / "run", network, {"seed": 0}, "epoch") as run:
+        run.begin(state, resume=False)
+        run.add(whole[0], state)
+        with monkeypatch.context() as patch:
+            patch.setattr(gnnjax.training.run, "atomic_write", killed)
+            with pytest.raises(KeyboardInterrupt):
+                run.add(whole[1], state)
+    with TrainingRun(tmp_path / "run", network, {"seed": 0}, "epoch") as run:
+        assert run.begin(state, resume=True)[0] == 2
+        run.finish(state.weights)
+    log = (tmp_path / "run" / "log.jsonl").read_text().splitlines()
+    assert [json.loads(line) for line in log] == whole
+    assert read_metadata(tmp_path / "run" / "weights.safetensors")["training"]["log"] == whole[1:]
+    (events,) = (tmp_path / "run" / "tensorboard").iterdir()
+    assert [e.simple_value for e in read_events(events) if e.tag == "loss"] == [0.5, 0.25]
+
+
+def test_two_trainings_do_not_share_a_folder(network, tmp_path):
+    with TrainingRun(tmp_path / "run", network, {}, "epoch"):
+        with pytest.raises(InputError, match=r"written by process .* choose another place"):
+            with TrainingRun(tmp_path / "run", network, {}, "epoch"):
+                pass
+
+
+def test_an_old_checkpoint_that_was_half_removed_is_none(network, tmp_path, monkeypatch):
+    state = TrainState(nnx.state(network, nnx.Param), {})
+    checkpoints = TrainingCheckpoints(tmp_path, network, {})
+    for epoch in (1, 2):
+        checkpoints.save(epoch, state, [])
+
+    def killed(folder, **kwargs):
+        next(folder.iterdir()).rename(tmp_path.parent / f"{tmp_path.name}-removed")
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", killed)
+        with pytest.raises(KeyboardInterrupt):
+            checkpoints.save(3, state, [])
+    checkpoints = TrainingCheckpoints(tmp_path, network, {})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["2", "3"]
+    assert checkpoints.restore(state)[0] == 3
 
 
 def test_a_run_that_began_before_an_option_was_there_goes_on(network, tmp_path):

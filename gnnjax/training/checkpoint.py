@@ -148,7 +148,7 @@ def _restore(folder: Path, **items: Any) -> Any:
     try:
         for name, item in items.items():
             if isinstance(item, ocp.args.StandardRestore):
-                _read_through(folder / name)
+                _read_through(folder / name, item.item)
         with ocp.Checkpointer(ocp.CompositeCheckpointHandler()) as checkpointer:
             return checkpointer.restore(folder, args=ocp.args.Composite(**items))
     except Exception as error:  # a damaged folder raises nearly anything
@@ -159,12 +159,22 @@ def _restore(folder: Path, **items: Any) -> Any:
         ) from None
 
 
-def _read_through(folder: Path) -> None:
-    """Raises where an array's bytes cannot be read.
+def _read_through(folder: Path, target: Any) -> None:
+    """Raises where an array of `target` cannot be read, or has another shape.
 
     Orbax reads all arrays at once; when one fails it leaves, and what the others then report
     reaches nobody but the terminal.
     """
+    for file in (folder / "array_metadatas").glob("*"):
+        json.loads(file.read_text(encoding="utf-8"))
     store = tensorstore.KvStore.open({"driver": "ocdbt", "base": folder.as_uri()}).result()
     for key in store.list().result():
         store.read(key).result()
+    for path, leaf in jax.tree_util.tree_flatten_with_path(target)[0]:
+        name = ".".join(str(part.key) for part in path)
+        place = {**store.spec().to_json(), "path": f"{name}/"}
+        spec = {"driver": "zarr", "kvstore": place, "fill_missing_data_reads": False}
+        array = tensorstore.open(spec).result()
+        if array.shape != leaf.shape:
+            raise ValueError(f"array {name} has shape {array.shape}, not {leaf.shape}")
+        array.read().result()
