@@ -36,7 +36,8 @@ import numpy as np
 import tyro
 
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.checker import boxes_clear, make_checker
+from gnnjax.collision.checker import make_checker
+from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write
 from gnnjax.scene.mujoco_world import build_world, place_boxes

@@ -22,7 +22,8 @@ import tyro
 
 from experiments.benchmark_collision import Engine
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.checker import EDGE_RESOLUTION, Checker, boxes_clear, make_checker
+from gnnjax.collision.checker import EDGE_RESOLUTION, Checker, make_checker
+from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write
 from gnnjax.roadmap.graph import Roadmap, default_radius

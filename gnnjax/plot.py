@@ -14,6 +14,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.scene import Scene, rotation_matrices
+from gnnjax.scene.shapes import for_every_kind
 
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
@@ -39,7 +40,8 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
     bodies = robot.geom_bodies[geoms]
     for column, azimuth in enumerate((-60, 30), start=1):
         axes = figure.add_subplot(1, 2, column, projection="3d", computed_zorder=True)
-        _draw_boxes(axes, scene)
+        for draw in _DRAW.values():
+            draw(axes, scene)
         axes.plot(*tip.T, color="black", linewidth=1.2, linestyle=":")
         for shot, color in enumerate(colors):
             at_end = shot in (0, len(shots) - 1)
@@ -89,6 +91,9 @@ def _draw_boxes(axes, scene: Scene) -> None:
         axes.add_collection3d(
             Poly3DCollection(faces, facecolor="0.6", edgecolor="0.35", alpha=0.35, linewidth=0.5)
         )
+
+
+_DRAW = for_every_kind("picture", box=_draw_boxes)
 
 
 def _along(path: np.ndarray, count: int) -> np.ndarray:

@@ -22,7 +22,8 @@ from jaxtyping import Array, Bool, Float
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.checker import boxes_clear, make_checker
+from gnnjax.collision.checker import make_checker
+from gnnjax.collision.fused import boxes_clear
 from gnnjax.devices import cache_compilations, over_problems
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import check_target

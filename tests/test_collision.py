@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.checker import (
-    EDGE_RESOLUTION,
-    _check_edges,
-    bisection_order,
-    boxes_clear,
-    make_checker,
-)
+from gnnjax.collision.checker import EDGE_RESOLUTION, _check_edges, bisection_order, make_checker
+from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
 from gnnjax.scene.scene import Scene, make_scene

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import configuration_clearance
-from gnnjax.collision.checker import boxes_clear, make_checker
+from gnnjax.collision.checker import make_checker
+from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, generate, generate_labelled, problem_keys
 from gnnjax.problems import family_problem

@@ -9,7 +9,8 @@ import pytest
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, configuration_clearance
-from gnnjax.collision.checker import boxes_clear, make_checker
+from gnnjax.collision.checker import make_checker
+from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.guide.view import choose_points
 from gnnjax.problems.family_problem import arm_reach, tip_positions

@@ -37,8 +37,9 @@ def test_files_that_the_texts_name_exist():
 ORDER = """
 interruption errors files devices
 arm.mjcf arm.robot arm.kinematics arm.fit
-scene.scene scene.mujoco_world
-collision.geometry collision.components collision.mjx collision.checker collision.certify
+scene.shapes scene.scene scene.mujoco_world
+collision.geometry collision.components collision.fused collision.mjx collision.checker
+collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion
 search.knowledge search.greedy search.lazy search.shorten search.guided
@@ -69,7 +70,7 @@ def imports_of(module):
                 yield used, node not in tree.body
             else:  # a wing, of which modules are imported
                 for alias in node.names:
-                    inside = f"{used}.{alias.name}"
+                    inside = f"{used}.{alias.name}".removeprefix(".")
                     yield (
                         (inside if inside in ORDER and node in tree.body else used),
                         (node not in tree.body),

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import CAPSULE, Joint, Robot, require_round_geoms
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
+from gnnjax.scene.shapes import for_every_kind
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
@@ -61,7 +62,7 @@ def certify_edges(robot: Robot, scene: Scene, starts: ArrayLike, ends: ArrayLike
     certified = np.ones(len(starts), bool)
     for q in (starts, ends):
         certified &= ((q >= lower) & (q <= upper)).all(axis=1)
-    body, boxes = _spheres(robot), _Boxes(scene)
+    body, obstacles = _spheres(robot), _obstacles(scene)
     edge = np.flatnonzero(certified)
     edge, low, high = _cut(
         edge, starts[edge], ends[edge], _lengths(starts, ends)[edge] / _FIRST_CUT
@@ -70,7 +71,7 @@ def certify_edges(robot: Robot, scene: Scene, starts: ArrayLike, ends: ArrayLike
         now, later = slice(_PIECES_A_BATCH), slice(_PIECES_A_BATCH, None)
         owner, begin, end = edge[now], low[now], high[now]
         half = np.abs(end - begin) / 2
-        clearance, need = body.clearance_and_need(boxes, (begin + end) / 2, half)
+        clearance, need = body.clearance_and_need(obstacles, (begin + end) / 2, half)
         touching = (clearance <= 0) | ((need >= 1) & (_lengths(begin, end) < _SHORTEST_PIECE))
         certified[owner[touching]] = False
         split = need >= 1
@@ -125,7 +126,7 @@ def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
     """Distance [m] of the arm at q `[D]` to boxes and itself; negative in collision."""
     still = np.zeros((1, robot.num_dof))
     q = _configurations(robot, "q[None]", np.asarray(q)[None])
-    return float(_spheres(robot).clearance_and_need(_Boxes(scene), q, still)[0][0])
+    return float(_spheres(robot).clearance_and_need(_obstacles(scene), q, still)[0][0])
 
 
 def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -133,7 +134,7 @@ def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
     nothing = Scene(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, bool))
     still = np.zeros((len(q), robot.num_dof))
     body = _spheres(robot)
-    return body.clearance_and_need(_Boxes(nothing), np.asarray(q, float), still)[0]
+    return body.clearance_and_need(_obstacles(nothing), np.asarray(q, float), still)[0]
 
 
 def check_scene(scene: Scene) -> None:
@@ -142,7 +143,7 @@ def check_scene(scene: Scene) -> None:
     Raises:
         InputError: a box that is not finite, has no size, or a quaternion that is not normalized.
     """
-    _Boxes(scene)
+    _obstacles(scene)
 
 
 def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: float) -> float:
@@ -159,7 +160,7 @@ def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: flo
     _, starts, _ = _cut(np.arange(len(path) - 1), path[:-1], path[1:], pieces)
     samples = np.concatenate([starts, path[-1:]])
     still = np.zeros((1, robot.num_dof))
-    return float(_spheres(robot).clearance_and_need(_Boxes(scene), samples, still)[0].min())
+    return float(_spheres(robot).clearance_and_need(_obstacles(scene), samples, still)[0].min())
 
 
 class _Boxes:
@@ -189,6 +190,25 @@ class _Boxes:
             norms = np.linalg.norm(quats, axis=1, keepdims=True)
         _refuse_unless(np.abs(norms - 1) <= _QUAT_ERROR, "quats", quats, "of length 1")
         self.rotations = np.array([_rotation(q) for q in quats / norms])
+
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """Distances [m] of points `[B, S, 3]` to the nearest box, `[B, S]`; 0 inside."""
+        nearest = np.full(points.shape[:2], np.inf)
+        for center, size, rotation in zip(
+            self.centers, self.half_extents, self.rotations, strict=True
+        ):
+            outside = np.maximum(np.abs((points - center) @ rotation) - size, 0)
+            nearest = np.minimum(nearest, np.einsum("bsi,bsi->bs", outside, outside))
+        return np.sqrt(nearest)
+
+
+# Of its own code, and checked by itself: see `shapes.py`.
+_KINDS = for_every_kind("certificate", box=_Boxes)
+
+
+def _obstacles(scene: Scene) -> list[_Boxes]:
+    """The existing obstacles of a scene, by kind, or what is wrong with them."""
+    return [kind(scene) for kind in _KINDS.values()]
 
 
 def _refuse_unless(good: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:
@@ -286,7 +306,7 @@ class _Spheres:
         return float(np.abs(model.jnt_range[joint.index] - model.qpos0[joint.index]).max())
 
     def clearance_and_need(
-        self, boxes: _Boxes, q: np.ndarray, half: np.ndarray
+        self, obstacles: list["_Boxes"], q: np.ndarray, half: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """What keeps the arm free at q `[B, D]` and while it moves by up to `half` `[B, D]`.
 
@@ -306,12 +326,9 @@ class _Spheres:
         motion = half @ self.reach[self.moves].T
         moving, radii = centers[:, self.moves], self.radii[self.moves]
         nearest = np.full(motion.shape, np.inf)
-        for center, size, rotation in zip(
-            boxes.centers, boxes.half_extents, boxes.rotations, strict=True
-        ):
-            outside = np.maximum(np.abs((moving - center) @ rotation) - size, 0)
-            nearest = np.minimum(nearest, np.einsum("bsi,bsi->bs", outside, outside))
-        account(np.sqrt(nearest) - radii, motion)
+        for kind in obstacles:
+            nearest = np.minimum(nearest, kind.distances(moving))
+        account(nearest - radii, motion)
         first, second = self.pairs.T
         between = centers[:, first] - centers[:, second]
         apart = np.sqrt(np.einsum("bpi,bpi->bp", between, between))

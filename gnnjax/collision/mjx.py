@@ -31,10 +31,11 @@ from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
 from gnnjax.arm.robot import CAPSULE, SPHERE, Robot
-from gnnjax.collision.checker import moved_by_joint
 from gnnjax.collision.components import in_components
+from gnnjax.collision.fused import moved_by_joint
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene, rotation_matrices
+from gnnjax.scene.shapes import for_every_kind
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints when the optional Warp is missing
     from mujoco import mjx
@@ -56,7 +57,7 @@ class _Geoms(NamedTuple):
 
 
 _SHAPES = [(3,), (3, 3), (3,)]  # of a geom's position, rotation and size
-_BOX = _Kind(int(mujoco.mjtGeom.mjGEOM_BOX))
+_OBSTACLES = for_every_kind("MJX backend", box=_Kind(int(mujoco.mjtGeom.mjGEOM_BOX)))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
@@ -81,7 +82,9 @@ def mjx_functions(
         # One group for two kinds, whichever of them comes first.
         i, j = (i, j) if kinds[i] <= kinds[j] else (j, i)
         pairs[kinds[i], kinds[j]].append((i, j))
-    with_boxes = [(np.array(rows), _distance(robot, kind, _BOX)) for kind, rows in moving.items()]
+    with_boxes = [
+        (np.array(rows), _distance(robot, kind, _OBSTACLES["box"])) for kind, rows in moving.items()
+    ]
     with_itself = [(np.array(rows), _distance(robot, *two)) for two, rows in pairs.items()]
 
     in_bodies = _frames_in_bodies(robot)

@@ -16,8 +16,9 @@ from jaxtyping import Array, Float
 
 from gnnjax.arm.kinematics import Vector, body_frames, dot, joint_terms, subtract, transform
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.checker import moved_by_joint
+from gnnjax.collision.fused import moved_by_joint
 from gnnjax.scene.scene import Scene, rotation_matrices
+from gnnjax.scene.shapes import for_every_kind
 
 # What boxes that do not exist are away from everything, and what a scene without boxes is, m.
 _NOTHING_NEAR = 10.0
@@ -66,7 +67,7 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
             nearer_now = []
             for g, center, near in zip(points, centers, nearest, strict=True):
                 position, rotation = frames[robot.geom_bodies[g]]
-                nearer_now.append(_nearer(near, box, transform(position, rotation, center)))
+                nearer_now.append(_NEARER["box"](near, box, transform(position, rotation, center)))
             return nearer_now
 
         far = jnp.full(q.shape[:1], _NOTHING_NEAR, q.dtype)
@@ -146,3 +147,6 @@ def _nearer(
     for b in beyond[1:]:
         inside = jnp.where(b > inside, b, inside)
     return jnp.where(apart < squared, apart, squared), jnp.where(inside < depth, inside, depth)
+
+
+_NEARER = for_every_kind("view of the arm", box=_nearer)

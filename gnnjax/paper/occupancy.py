@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 from flax import nnx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from gnnjax.scene.scene import Scene
+from gnnjax.scene.shapes import for_every_kind
 
 
 def occupancy_grid(
@@ -31,15 +32,25 @@ def occupancy_grid(
     voxel = (high - low) / grid_size
     axes = [low[i] + voxel[i] * (jnp.arange(grid_size) + 0.5) for i in range(3)]
     centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    offset = centers - scene.centers  # [m^3 M 3]
+    inside = [of_kind(scene, centers, 0.5 * jnp.max(voxel)) for of_kind in _INSIDE.values()]
+    occupied = jnp.any(jnp.stack(inside), axis=0)
+    return occupied.astype(jnp.float32).reshape(grid_size, grid_size, grid_size)
+
+
+def _inside_boxes(
+    scene: Scene, points: Float[Array, "V 1 3"], least: Float[Array, ""]
+) -> Bool[Array, " V"]:
+    """Whether points are inside of a box, each of which counts as `least` [m] thick or thicker."""
+    offset = points - scene.centers  # [V M 3]
     # Rotation by the conjugate quaternion takes the offset into the frame of the box.
     w, v = scene.quats[:, :1], -scene.quats[:, 1:]
     t = 2.0 * jnp.cross(v, offset)
     local = offset + w * t + jnp.cross(v, t)
-    half = jnp.maximum(scene.half_extents, 0.5 * jnp.max(voxel))
-    inside = jnp.all(jnp.abs(local) <= half, axis=-1)
-    occupied = jnp.any(inside & scene.mask, axis=-1)
-    return occupied.astype(jnp.float32).reshape(grid_size, grid_size, grid_size)
+    inside = jnp.all(jnp.abs(local) <= jnp.maximum(scene.half_extents, least), axis=-1)
+    return jnp.any(inside & scene.mask, axis=-1)
+
+
+_INSIDE = for_every_kind("occupancy grid", box=_inside_boxes)
 
 
 class HalvingConv(nnx.Module):

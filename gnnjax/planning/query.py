@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import check_scene, configuration_clearance
-from gnnjax.collision.checker import boxes_clear
+from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene

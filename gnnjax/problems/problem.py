@@ -18,10 +18,15 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write, read_arrays
 from gnnjax.roadmap.sampled import sample_free
 from gnnjax.scene.scene import MOST_METERS, Scene, box_bucket, pad_scene, sample_scene, unit_quats
+from gnnjax.scene.shapes import for_every_kind
 
 MANIFEST = "manifest.json"  # of a folder of shards
 
-_NAMES = ("robot", "start", "goal", "box_centers", "box_half_extents", "box_quats", "num_boxes")
+# Arrays of a problem file for the obstacles of each kind.
+_ARRAYS = for_every_kind(
+    "problem file", box=("box_centers", "box_half_extents", "box_quats", "num_boxes")
+)
+_NAMES = ("robot", "start", "goal", *_ARRAYS["box"])
 
 # Further arrays are kept, but for those whose names are of obstacles: left out, they would be
 # planned through. Words of a name in the singular; and how the arrays of a kind of shape end.

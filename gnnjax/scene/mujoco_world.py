@@ -8,10 +8,13 @@ import numpy as np
 from gnnjax.arm.mjcf import read_spec
 from gnnjax.arm.robot import Robot
 from gnnjax.scene.scene import Scene
+from gnnjax.scene.shapes import for_every_kind
 
 # Where boxes that do not exist are put: far enough to be clear, near enough for float32.
 FAR_AWAY = 1e3
 
+# MuJoCo geoms of obstacles.
+_GEOMS = for_every_kind("MuJoCo world", box=mujoco.mjtGeom.mjGEOM_BOX)
 # All bits of MuJoCo's contype and conaffinity.
 _ALL_BITS = -1
 # Flags of an MJCF that would hide contacts from the C engine.
@@ -45,7 +48,7 @@ def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
         # All bits: an obstacle meets whatever collision group a robot's author chose.
         body.add_geom(
             name=f"{prefix}{i}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
+            type=_GEOMS["box"],
             size=[0.1, 0.1, 0.1],
             contype=_ALL_BITS,
             conaffinity=_ALL_BITS,

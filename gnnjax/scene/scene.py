@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
+from gnnjax.scene.shapes import for_every_kind
 
 # Padded numbers of boxes; one compilation each. The first holds the paper's 2 to 9 boxes.
 BOX_BUCKETS = (10, 16, 32, 64)
@@ -19,6 +20,9 @@ BOX_BUCKETS = (10, 16, 32, 64)
 MOST_METERS = 1e4  # of any coordinate; single precision has lost a millimetre there
 
 _IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
+
+# What an obstacle of each kind has in a scene file, and how many numbers.
+_JSON = for_every_kind("scene file", box={"center": 3, "half_extents": 3, "quat": 4})
 
 
 class Scene(NamedTuple):
@@ -225,7 +229,7 @@ def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_json_box(box: Any, called: str) -> None:
-    widths = {"center": 3, "half_extents": 3, "quat": 4}
+    widths = _JSON["box"]
     # A misspelled "quat" must not leave a box unrotated.
     if not isinstance(box, dict) or not box.keys() <= widths.keys():
         found = brief(sorted(box) if isinstance(box, dict) else box)

@@ -1,0 +1,45 @@
+"""Every consumer of obstacles has an entry for every kind, or cannot be imported."""
+
+import importlib
+
+import pytest
+
+from gnnjax.scene import shapes
+from gnnjax.scene.shapes import KINDS, TABLES, for_every_kind
+
+# Whatever meets obstacles; a new one belongs here.
+CONSUMERS = {
+    "scene file": "gnnjax.scene.scene",
+    "MuJoCo world": "gnnjax.scene.mujoco_world",
+    "fused kernel": "gnnjax.collision.fused",
+    "MJX backend": "gnnjax.collision.mjx",
+    "certificate": "gnnjax.collision.certify",
+    "view of the arm": "gnnjax.guide.view",
+    "problem file": "gnnjax.problems.problem",
+    "occupancy grid": "gnnjax.paper.occupancy",
+    "picture": "gnnjax.plot",
+}
+
+
+@pytest.mark.parametrize(("consumer", "module"), CONSUMERS.items())
+def test_every_consumer_has_all_kinds_and_could_not_do_without_one(consumer, module, monkeypatch):
+    loaded = importlib.import_module(module)
+    assert TABLES[consumer] == KINDS
+    monkeypatch.setattr(shapes, "KINDS", (*KINDS, "cone"))
+    # As if its source were read anew; the module that others hold stays as it is.
+    spec = importlib.util.find_spec(module)
+    again = importlib.util.module_from_spec(spec)
+    with pytest.raises(TypeError, match=f"the {consumer} has no entry for .* kinds \\['cone'\\]"):
+        spec.loader.exec_module(again)
+    assert loaded is importlib.import_module(module)
+
+
+def test_there_are_no_other_tables():
+    for module in CONSUMERS.values():
+        importlib.import_module(module)
+    assert set(TABLES) == set(CONSUMERS)
+
+
+def test_an_entry_that_is_no_kind_is_refused():
+    with pytest.raises(TypeError, match=r"the cook has entries for \['pie'\], which are no"):
+        for_every_kind("cook", box=1, pie=2)
