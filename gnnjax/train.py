@@ -7,11 +7,10 @@ step of the walk and from every node of the roadmap, and with a second head whic
 
 import argparse
 import dataclasses
-import json
-import time
+import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +18,10 @@ import numpy as np
 import optax
 import tyro
 from flax import nnx
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.devices import cache_compilations
-from gnnjax.errors import InputError, check_seed, run_command
-from gnnjax.files import check_target
+from gnnjax.errors import InputError, run_command
 from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled, problem_keys
 from gnnjax.guide.view import point_distances
 from gnnjax.paper.losses import graph_losses
@@ -33,7 +30,7 @@ from gnnjax.paper.strategy import gnn
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
 from gnnjax.problems.problem import Problem, load_problems
-from gnnjax.training.run import AGAIN, TrainingRun
+from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,13 +120,6 @@ PRESETS = {
 LOSS_OPTIONS = ("max_walk", "every_step", "all_nodes", "temperature", "validity_weight")
 
 
-class TrainState(NamedTuple):
-    """All that changes while training; a checkpoint holds it."""
-
-    weights: Any
-    optimizer: optax.OptState
-
-
 def make_optimizer(config: TrainConfig, num_steps: int) -> optax.GradientTransformation:
     """The optimizer of a run of `num_steps` steps."""
     if config.optimizer == "sgd":
@@ -197,6 +187,11 @@ def train(config: TrainConfig) -> Path:
     _check_config(config)
     cache_compilations()
     robot = load_robot(config.robot)
+    if not config.data.exists():
+        raise InputError(
+            f"no training data at {str(config.data)!r}; make some with python -m gnnjax.generate "
+            f"--split train --robot {config.robot} --out {config.data}"
+        )
     problems = load_problems(config.data, robot)
     if config.num_roadmaps is not None and not 1 <= config.num_roadmaps <= len(problems):
         raise InputError(
@@ -230,42 +225,40 @@ def train(config: TrainConfig) -> Path:
     step = make_step(graphdef, optimizer, robot, config)
     state = TrainState(weights, optimizer.init(weights))
 
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    run = TrainingRun(config.out, network, _settings(config), "epoch", steps_an_epoch)
-    with run, Progress(*columns, TimeRemainingColumn()) as progress:
-        first_epoch, state = run.begin(state, config.resume)
-        bar = progress.add_task(
-            "compiling", total=num_steps, completed=first_epoch * steps_an_epoch
+    def one_step(state: TrainState, epoch: int, number: int):
+        order, walk_key = plan_epoch(epoch)
+        rows = order[number * config.batch_size : (number + 1) * config.batch_size]
+        batch = jax.tree.map(lambda x: x[rows], data)
+        return step(state, batch, jax.random.split(jax.random.fold_in(walk_key, number), len(rows)))
+
+    @functools.lru_cache(maxsize=1)
+    def plan_epoch(epoch: int) -> tuple[np.ndarray, jax.Array]:
+        key = jax.random.fold_in(jax.random.key(config.seed), epoch)
+        order_key, walk_key = jax.random.split(key)
+        return np.asarray(jax.random.permutation(order_key, num)), walk_key
+
+    def validated(state: TrainState) -> tuple[dict[str, float], str]:
+        if validation is None:
+            return {}, ""
+        planner.use_weights(state.weights)
+        found = validate(planner, validation)
+        words = (
+            f", validation success {found['success']:.2f}, {found['edge_checks']:.1f} edge checks"
         )
-        for epoch in range(first_epoch, config.epochs):
-            begin, sums = time.perf_counter(), {}
-            key = jax.random.fold_in(jax.random.key(config.seed), epoch)
-            order_key, walk_key = jax.random.split(key)
-            order = np.asarray(jax.random.permutation(order_key, num))
-            for i in range(steps_an_epoch):
-                rows = order[i * config.batch_size : (i + 1) * config.batch_size]
-                batch = jax.tree.map(lambda x, rows=rows: x[rows], data)
-                keys = jax.random.split(jax.random.fold_in(walk_key, i), len(rows))
-                state, losses = step(state, batch, keys)
-                sums = jax.tree.map(jnp.add, sums, losses) if sums else losses
-                progress.update(bar, advance=1, description=f"epoch {epoch + 1}")
-            record: dict[str, Any] = {"epoch": epoch + 1}
-            record |= {name: float(x) / steps_an_epoch for name, x in sums.items()}
-            record["seconds"] = time.perf_counter() - begin
-            last = epoch + 1 == config.epochs
-            if last or (epoch + 1) % config.validate_every == 0:
-                if validation is not None:
-                    planner.use_weights(state.weights)
-                    found = validate(planner, validation)
-                    record |= {f"validation_{name}": value for name, value in found.items()}
-                    progress.console.print(
-                        f"epoch {epoch + 1}: loss {record['loss']:.3f}, validation success "
-                        f"{found['success']:.2f}, {found['edge_checks']:.1f} edge checks"
-                    )
-                run.add(record, state)  # with a checkpoint
-            else:
-                run.add(record)
-        return run.finish(state.weights)
+        return {f"validation_{name}": value for name, value in found.items()}, words
+
+    training = Training(
+        network=network,
+        state=state,
+        unit="epoch",
+        num_units=config.epochs,
+        steps=steps_an_epoch,
+        record_every=1,
+        validate_every=config.validate_every,
+        step=one_step,
+        validate=validated,
+    )
+    return run_training(training, config)
 
 
 def _check_config(config: TrainConfig) -> None:
@@ -273,10 +266,7 @@ def _check_config(config: TrainConfig) -> None:
     least = dict.fromkeys(("epochs", "validate_every", "max_walk", "num_dof"), 1)
     least |= {"channels": 4, "validation_problems": 0, "workspace_points": 0, "temperature": 0}
     least |= {"learning_rate": 0, "weight_decay": 0, "validity_weight": 0}
-    for name, bound in least.items():
-        value = getattr(config, name)
-        if not bound <= value < float("inf"):  # NaN fails this, too
-            raise InputError(f"{name} is {value}; it must be at least {bound}, and finite")
+    check_bounds(config, least)
     if config.channels % 4:
         raise InputError(f"channels is {config.channels}; it must be a multiple of 4")
     if config.workspace_points and not (config.validity_weight and config.geometric_features):
@@ -284,15 +274,6 @@ def _check_config(config: TrainConfig) -> None:
             f"workspace_points is {config.workspace_points} and needs validity_weight > 0 and "
             "geometric_features; add --workspace-points 0 to go without"
         )
-    check_seed(config.seed)
-    check_target(config.out / "log.jsonl")
-
-
-def _settings(config: TrainConfig) -> dict[str, Any]:
-    """The configuration as JSON, without what may differ when a run goes on."""
-    settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
-    del settings["resume"], settings["out"]
-    return settings
 
 
 def parse() -> TrainConfig:

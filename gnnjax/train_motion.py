@@ -6,8 +6,6 @@ these with the collision checker, all on the device; no scene is ever seen twice
 
 import dataclasses
 import functools
-import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,21 +17,18 @@ import optax
 import tyro
 from flax import nnx
 from jaxtyping import Array, Bool, Float
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.devices import cache_compilations, over_problems
-from gnnjax.errors import InputError, check_seed, run_command
-from gnnjax.files import check_target
+from gnnjax.errors import InputError, run_command
 from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import draw_family_scene
 from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
-from gnnjax.train import TrainState
-from gnnjax.training.run import AGAIN, TrainingRun
+from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
 
 _MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
 _PAPER_SHARE = 0.5  # of the scenes; the families share the rest
@@ -250,56 +245,41 @@ def train_motion(config: TrainMotionConfig) -> Path:
     validations = [make_validation(robot, config, graphdef) for robot in robots]
     state = TrainState(weights, optimizer.init(weights))
     train_key, validation_key = jax.random.split(jax.random.key(config.seed))
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    run = TrainingRun(config.out, network, _settings(config), "step")
-    with run, Progress(*columns, TimeRemainingColumn()) as progress:
-        first, state = run.begin(state, config.resume)
-        bar = progress.add_task("compiling", total=config.steps, completed=first)
-        sums, since, begin = {}, first, time.perf_counter()
-        for number in range(first, config.steps):
-            batch = batches[number % len(robots)](jax.random.fold_in(train_key, number))
-            state, losses = step(state, batch)
-            sums = jax.tree.map(jnp.add, sums, losses) if sums else losses
-            progress.update(bar, advance=1, description="training")
-            done = number + 1
-            if done % config.save_every and done < config.steps:
-                continue
-            record: dict[str, Any] = {"step": done}
-            record |= {name: float(x) / (done - since) for name, x in sums.items()}
-            record["seconds"] = time.perf_counter() - begin
-            for name, validate in zip(config.robots, validations, strict=True):
-                keys = jax.random.split(validation_key, _VALIDATION_STEPS)
-                scores, valid = zip(*(validate(state.weights, key) for key in keys), strict=True)
-                area = area_under_curve(np.concatenate(scores), np.concatenate(valid))
-                record[f"edge_auc_{Path(name).stem}"] = area
-            run.add(record, state)
-            areas = ", ".join(f"{v:.4f}" for k, v in record.items() if k.startswith("edge_auc"))
-            progress.console.print(
-                f"step {done}: loss {record['loss']:.4f}, area under the curve of edges {areas}"
-            )
-            sums, since, begin = {}, done, time.perf_counter()
-        return run.finish(state.weights)
+
+    def one_step(state: TrainState, number: int, _: int):
+        return step(state, batches[number % len(robots)](jax.random.fold_in(train_key, number)))
+
+    def validated(state: TrainState) -> tuple[dict[str, float], str]:
+        areas = {}
+        for name, validate in zip(config.robots, validations, strict=True):
+            keys = jax.random.split(validation_key, _VALIDATION_STEPS)
+            scores, valid = zip(*(validate(state.weights, key) for key in keys), strict=True)
+            area = area_under_curve(np.concatenate(scores), np.concatenate(valid))
+            areas[f"edge_auc_{Path(name).stem}"] = area
+        words = ", ".join(f"{area:.4f}" for area in areas.values())
+        return areas, f", area under the curve of edges {words}"
+
+    training = Training(
+        network=network,
+        state=state,
+        unit="step",
+        num_units=config.steps,
+        steps=1,
+        record_every=config.save_every,
+        validate_every=config.save_every,
+        step=one_step,
+        validate=validated,
+    )
+    return run_training(training, config)
 
 
 def _check_config(config: TrainMotionConfig) -> None:
     """Refuses numbers that nothing can be trained with, before anything is computed."""
     least = dict.fromkeys(("steps", "scenes", "num_points", "channels", "save_every"), 1)
     least |= {"motions": 2, "learning_rate": 0}
-    for name, bound in least.items():
-        value = getattr(config, name)
-        if not bound <= value < float("inf"):  # NaN fails this, too
-            raise InputError(f"{name} is {value}; it must be at least {bound}, and finite")
+    check_bounds(config, least)
     if not config.robots:
         raise InputError("robots is empty; name at least one arm")
-    check_seed(config.seed)
-    check_target(config.out / "log.jsonl")
-
-
-def _settings(config: TrainMotionConfig) -> dict[str, Any]:
-    """The configuration as JSON, without what may differ when a run goes on."""
-    settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
-    del settings["resume"], settings["out"]
-    return settings
 
 
 if __name__ == "__main__":

@@ -340,8 +340,8 @@ def checkpoints(folder: Path) -> Callable[[random.Random, Path], Callable[[], ob
     from flax import nnx
 
     from gnnjax.guide.motion import MotionNetwork
-    from gnnjax.train import TrainState
     from gnnjax.training.checkpoint import TrainingCheckpoints
+    from gnnjax.training.run import TrainState
     from gnnjax.training.weights import load_network, save_network
 
     network = MotionNetwork(2, 4, rngs=nnx.Rngs(0))
@@ -414,6 +414,7 @@ def read_kind(kind: str, numbers: range, seed: int) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         make = KINDS[kind][0](folder)
+        os.chdir(folder)  # where MuJoCo writes its log
         for number in numbers:
             rng = random.Random(f"{kind} {seed} {number}")
             path = folder / f"input{number}"
@@ -432,6 +433,7 @@ def read_kind(kind: str, numbers: range, seed: int) -> None:
             signal.alarm(0)
             print(json.dumps([number, outcome]), flush=True)
             shutil.rmtree(path, ignore_errors=True)
+        os.chdir("/")
 
 
 def try_kind(kind: str, number: int, seed: int) -> dict[int, str]:

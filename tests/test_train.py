@@ -25,9 +25,9 @@ from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.planning.planner import load_planner
 from gnnjax.problems.problem import load_problems
 from gnnjax.roadmap.graph import GOAL
-from gnnjax.train import LOSS_OPTIONS, PRESETS, TrainState, make_optimizer, parse, train
+from gnnjax.train import LOSS_OPTIONS, PRESETS, make_optimizer, parse, train
 from gnnjax.training.checkpoint import TrainingCheckpoints
-from gnnjax.training.run import TrainingRun
+from gnnjax.training.run import TrainingRun, TrainState
 from gnnjax.training.weights import load_network, read_metadata
 
 

@@ -12,8 +12,8 @@ from safetensors.numpy import load_file, save_file
 from gnnjax.errors import InputError
 from gnnjax.guide.motion import MotionNetwork
 from gnnjax.paper.network import GuidanceNetwork
-from gnnjax.train import TrainState
 from gnnjax.training.checkpoint import TrainingCheckpoints
+from gnnjax.training.run import TrainState
 from gnnjax.training.weights import find_weights, load_network, read_metadata, save_network
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

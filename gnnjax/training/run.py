@@ -1,24 +1,124 @@
-"""The folder of a training run: checkpoints, log, TensorBoard's events and, at last, weights."""
+"""The loop of all trainings, and a run's folder: checkpoints, log, events and, at last, weights.
+
+What is trained, and on what, are arguments: a `Training`.
+"""
 
 import contextlib
+import dataclasses
 import json
 import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
+import optax
 from flax import nnx
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from tensorboardX.proto.event_pb2 import Event
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import masked_crc32c
 
-from gnnjax.errors import InputError
-from gnnjax.files import atomic_write, locked
+from gnnjax.errors import InputError, check_seed
+from gnnjax.files import atomic_write, check_target, locked
 from gnnjax.training.checkpoint import TrainingCheckpoints
 from gnnjax.training.weights import save_network
 
 # What both trainings advise after an interruption.
 AGAIN = "start the same command again with --resume"
+
+
+class TrainState(NamedTuple):
+    """All that changes while training; a checkpoint holds it."""
+
+    weights: Any
+    optimizer: optax.OptState
+
+
+class Training(NamedTuple):
+    """What is trained, and how; a run is so many units of so many steps."""
+
+    network: nnx.Module  # what the weights are of
+    state: TrainState
+    unit: str  # what records count: "epoch" or "step"
+    num_units: int
+    steps: int  # of a unit
+    record_every: int  # units between records
+    validate_every: int  # units between validations and checkpoints
+    # `(state, unit, number) -> (state, losses)`: a step of a unit, the same whenever it runs.
+    step: Callable[[TrainState, int, int], tuple[TrainState, dict[str, jax.Array]]]
+    # `state -> (entries of the record, the same in words)`.
+    validate: Callable[[TrainState], tuple[dict[str, float], str]]
+
+
+def run_training(training: Training, config: Any) -> Path:
+    """Trains, or goes on with what an interrupted run has left; returns the file of the weights.
+
+    Args:
+        training: what to do.
+        config: of the command; its `out` and `resume` say where and whether to go on.
+    """
+    unit, steps = training.unit, training.steps
+    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    run = TrainingRun(config.out, training.network, settings_of(config), unit, steps)
+    with run, Progress(*columns, TimeRemainingColumn()) as progress:
+        first, state = run.begin(training.state, config.resume)
+        total = training.num_units * steps
+        bar = progress.add_task("compiling", total=total, completed=first * steps)
+        progress.console.print("compiling; the first step takes up to a minute")
+        sums, since, begin = {}, first, time.perf_counter()
+        for number in range(first, training.num_units):
+            for i in range(steps):
+                state, losses = training.step(state, number, i)
+                sums = jax.tree.map(jnp.add, sums, losses) if sums else losses
+                progress.update(bar, advance=1, description=f"{unit} {number + 1}")
+            done = number + 1
+            last = done == training.num_units
+            if done % training.record_every and not last:
+                continue
+            record: dict[str, Any] = {unit: done}
+            record |= {name: float(x) / (steps * (done - since)) for name, x in sums.items()}
+            record["seconds"] = time.perf_counter() - begin
+            if last or done % training.validate_every == 0:
+                found, words = training.validate(state)
+                record |= found
+                progress.console.print(f"{unit} {done}: loss {record['loss']:.4f}{words}")
+                run.add(record, state)
+            else:
+                run.add(record)
+            sums, since, begin = {}, done, time.perf_counter()
+        return run.finish(state.weights)
+
+
+def check_bounds(config: Any, least: dict[str, float]) -> None:
+    """Refuses numbers that nothing can be trained with, before anything is computed.
+
+    Args:
+        config: of the command.
+        least: by option, the least that makes sense.
+    """
+    for name, bound in least.items():
+        value = getattr(config, name)
+        if not bound <= value < float("inf"):  # NaN fails this, too
+            raise InputError(f"{name} is {value}; it must be at least {bound}, and finite")
+    check_seed(config.seed)
+    check_target(config.out / "log.jsonl")
+
+
+def settings_of(config: Any) -> dict[str, Any]:
+    """A configuration as JSON, without what may differ when a run goes on."""
+    settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+    del settings["resume"], settings["out"]
+    return settings
 
 
 class TrainingRun(contextlib.ExitStack):
