@@ -308,10 +308,15 @@ def test_a_geom_with_the_last_bit_alone_meets_obstacles(tmp_path):
         ('"0.15 0 0.02"', '"0.15 nan 0.02"', "geom_pos of .* holds nan"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:XML contains a 'NaN'")
-def test_numbers_that_nothing_can_be_computed_with_are_refused(tmp_path, old, new, message):
+def test_numbers_that_nothing_can_be_computed_with_are_refused(
+    tmp_path, monkeypatch, capfd, old, new, message
+):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=message):
         load_robot(written(tmp_path, lambda text: text.replace(old, new, 1)))
+    # Nothing of MuJoCo's own, neither in the terminal nor in the folder.
+    assert capfd.readouterr().err == ""
+    assert [file.name for file in tmp_path.iterdir()] == ["arm.xml"]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """MJCF files: read in the frame of the arm's base; refused where planning would misjudge them."""
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -13,6 +15,20 @@ _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Of a joint's range, rad or m: sixteen turns. The tables of points along an edge grow with it.
 _MOST_RANGE = 100.0
 _MOST_METERS = 1e4  # of any length of an arm; single precision has lost a millimetre there
+
+
+@contextlib.contextmanager
+def without_warnings() -> Iterator[None]:
+    """In here MuJoCo's warnings go nowhere: by itself it writes them into the user's folder.
+
+    What they are about, such as NaN, is refused where it matters.
+    """
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def read_spec(path: Path) -> mujoco.MjSpec:

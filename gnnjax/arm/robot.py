@@ -16,7 +16,14 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from gnnjax.arm.mjcf import check_joints, check_numbers, joint_name, read_spec, self_pairs
+from gnnjax.arm.mjcf import (
+    check_joints,
+    check_numbers,
+    joint_name,
+    read_spec,
+    self_pairs,
+    without_warnings,
+)
 from gnnjax.errors import InputError
 
 # MuJoCo geom types that the fused collision kernel understands.
@@ -106,7 +113,8 @@ def load_robot(robot: str | Path) -> Robot:
     elif not path.is_file():
         raise InputError(f"no MJCF file at {str(path)!r}; check the path")
     try:
-        model = read_spec(path).compile()
+        with without_warnings():
+            model = read_spec(path).compile()
     except ValueError as error:
         raise InputError(f"MuJoCo cannot read {str(path)!r}: {str(error).strip()}") from None
     return _robot_from_model(model, path)
