@@ -17,7 +17,8 @@ import numpy as np
 import tyro
 
 from gnnjax.errors import InputError, run_command
-from gnnjax.problems.problem import Problem, ProblemSet, save_problems
+from gnnjax.problems.file import save_problems
+from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.scene import Scene
 
 

@@ -57,7 +57,7 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.files import atomic_write
-from gnnjax.problems.problem import load_problems
+from gnnjax.problems.shards import load_problems
 
 CLAIM = "The dearer a configuration check, the more a learned guide pays."
 OWN = (*GUIDES, "distance", "lazysp", "prm")

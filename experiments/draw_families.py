@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import run_command
 from gnnjax.files import atomic_write
-from gnnjax.generate import generate_labelled, problem_keys
 from gnnjax.problems.families import FAMILIES
+from gnnjax.problems.labelled import generate_labelled, problem_keys
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
 

@@ -42,7 +42,7 @@ from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.files import atomic_write
 from gnnjax.paper.occupancy import occupancy_grid
-from gnnjax.problems.problem import load_problems
+from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import Scene
 from gnnjax.training.weights import load_network
 

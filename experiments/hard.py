@@ -39,7 +39,7 @@ from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.files import atomic_write
 from gnnjax.problems.families import FAMILIES
-from gnnjax.problems.problem import load_problems
+from gnnjax.problems.shards import load_problems
 
 CLAIM = "The harder the problem, the more the guide saves."
 PLANNERS = (

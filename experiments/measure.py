@@ -17,9 +17,11 @@ import numpy as np
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.evaluate import QUANTITIES, EvaluateConfig, describe_machine, evaluate
+from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.files import atomic_write
 from gnnjax.generate import GenerateConfig, generate
+from gnnjax.measure.machine import describe_machine
+from gnnjax.measure.rows import QUANTITIES
 from gnnjax.planning.planner import make_planner
 
 # Of the files in `results/`; raised when what they hold changes its meaning.

@@ -37,9 +37,9 @@ from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
 from gnnjax.errors import run_command
 from gnnjax.files import atomic_write
-from gnnjax.generate import LabelledRoadmap, generate_labelled, problem_keys
 from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import arm_view
+from gnnjax.problems.labelled import LabelledRoadmap, generate_labelled, problem_keys
 from gnnjax.scene.scene import Scene
 from gnnjax.train_motion import TrainMotionConfig, area_under_curve
 from gnnjax.training.weights import load_network

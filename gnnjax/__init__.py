@@ -17,15 +17,12 @@ from gnnjax.planning.planner import Planner, load_planner, make_planner
 from gnnjax.planning.query import Plan
 from gnnjax.planning.strategy import Strategy
 from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
-from gnnjax.problems.problem import (
-    Problem,
-    ProblemSet,
-    load_problems,
-    sample_problem,
-    save_problems,
-)
+from gnnjax.problems.file import save_problems
+from gnnjax.problems.labelled import Labels, label_roadmap
+from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
+from gnnjax.problems.shards import load_problems
 from gnnjax.roadmap.graph import Roadmap, connect, default_radius
-from gnnjax.roadmap.paths import Labels, cost_to_go, edge_validity, label_roadmap
+from gnnjax.roadmap.paths import cost_to_go, edge_validity
 from gnnjax.roadmap.sampled import Samples, sample_free, sample_roadmap
 from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.scene import (

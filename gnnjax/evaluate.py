@@ -9,51 +9,35 @@ Results are written as they come; the same command goes on where it was cut off.
 
 import contextlib
 import dataclasses
-import functools
 import importlib.metadata
 import json
-import os
-import platform
 import time
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.checker import make_checker
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError, brief, check_seed, run_command
 from gnnjax.files import atomic_write, check_target, locked
+from gnnjax.measure.machine import describe_machine
+from gnnjax.measure.rows import ROW, make_row, straight_line_blocked, within
+from gnnjax.measure.statistics import summarize
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import make_planner
 from gnnjax.planning.query import Plan, QueryPlanner, check_query
-from gnnjax.problems.problem import Problem, ProblemSet, load_problems
-from gnnjax.scene.scene import is_axis_aligned
+from gnnjax.problems.problem import ProblemSet
+from gnnjax.problems.shards import load_problems
 
 # Of the result files; raised when what they hold changes its meaning.
 FORMAT = 2
 
 _WRITE_EVERY_S = 1.0
-
-# What is summed up over problems, and whether problems without a path count.
-QUANTITIES = {
-    "edge_checks": True,
-    "configuration_checks": True,
-    "sampling_checks": True,
-    "search_checks": True,
-    "planning_time_s": True,
-    "total_time_s": True,
-    "cost": False,
-}
-
-# What each problem's results have at least.
-_ROW = {"index", "valid", "hard", "success", "certified", "roadmaps", *QUANTITIES}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -167,124 +151,12 @@ def _plan_missing(
                 made = planner.plan_batch(queries, seed=config.seed)
                 plans = dict(zip(valid, made, strict=False))
             for i in batch:
-                row = _row(i, plans.get(i), reasons.get(i, ""), bool(blocked[i]), checking[i])
-                rows.append(_within(row, config.time_limit))
+                row = make_row(i, plans.get(i), reasons.get(i, ""), bool(blocked[i]), checking[i])
+                rows.append(within(row, config.time_limit))
             progress.update(task, completed=len(rows), description=config.planner)
             if time.monotonic() - written > _WRITE_EVERY_S:
                 _write(config.json, results)
                 written = time.monotonic()
-
-
-def _row(index: int, plan: Plan | None, invalid: str, hard: bool, checking: float) -> dict:
-    """The result of one problem; `plan` is None for an invalid problem."""
-    if plan is None:
-        zeros = {name: 0 for name in QUANTITIES if name != "cost"}
-        return {
-            "index": index,
-            "valid": False,
-            "hard": hard,
-            "success": False,
-            "reason": f"invalid problem: {invalid}",
-            "path": [],
-            "cost": None,
-            "certified": False,
-            "roadmaps": 0,
-            **zeros,
-        }
-    row = {"index": index, "valid": True, "hard": hard, **plan._asdict()}
-    row["path"] = plan.path.astype(float).tolist()
-    row["cost"] = plan.cost if plan.success else None  # JSON has no infinity
-    row["total_time_s"] = plan.total_time_s + checking
-    return row
-
-
-def _within(row: dict, time_limit: float) -> dict:
-    """The row as it is, or as a failure where the path came too late."""
-    if not row["success"] or row["total_time_s"] <= time_limit:
-        return row
-    reason = f"a path after {row['total_time_s']:.2f} s, and the limit is {time_limit} s"
-    late = {"success": False, "reason": reason, "path": [], "cost": None, "certified": False}
-    return row | late
-
-
-def straight_line_blocked(robot: Robot, checker: str, problems: Problem) -> np.ndarray:
-    """Tells for each problem whether the straight line from start to goal is blocked: the hard
-    ones. That does not depend on the resolution a planner is asked for."""
-    check = make_checker(
-        robot,
-        "mjx" if checker == "mjx" else "fused",
-        axis_aligned=is_axis_aligned(problems.scene),
-    )
-
-    @jax.jit
-    def blocked(problems: Problem) -> jax.Array:
-        def one(problem: Problem) -> jax.Array:
-            ends = problem.start[None], problem.goal[None]
-            return ~check.check_edges(problem.scene, *ends).valid[0]
-
-        return jax.lax.map(one, problems)
-
-    return np.asarray(blocked(jax.tree.map(jnp.asarray, problems)))
-
-
-def summarize(rows: list[dict]) -> dict[str, Any]:
-    """Mean, spread and median of each quantity, over all valid problems and over the hard ones.
-
-    The cost is over solved problems; everything else over all. `certified` is the share with a path
-    that is proven free, which some planners find out only afterwards.
-    """
-    valid = [row for row in rows if row["valid"]]
-    strata = {"all": valid, "hard": [row for row in valid if row["hard"]]}
-    summary: dict[str, Any] = {
-        "num_problems": len(rows),
-        "num_invalid": len(rows) - len(valid),
-        "invalid_problems": [row["index"] for row in rows if not row["valid"]],
-    }
-    for stratum, chosen in strata.items():
-        num = len(chosen)
-        solved = [row for row in chosen if row["success"]]
-        first = [row for row in solved if row["roadmaps"] == 1]
-        part: dict[str, Any] = {
-            "num_problems": num,
-            "success": len(solved) / num if num else None,
-            "certified": sum(row["certified"] for row in chosen) / num if num else None,
-            "success_first_roadmap": len(first) / num if num else None,
-        }
-        for name, failures_count in QUANTITIES.items():
-            rows_counted = chosen if failures_count else solved
-            values = [row[name] for row in rows_counted if row[name] is not None]
-            part[name] = (
-                {
-                    "mean": float(np.mean(values)),
-                    "std": float(np.std(values)),
-                    "median": float(np.median(values)),
-                    "p95": float(np.quantile(values, 0.95)),
-                }
-                if values
-                else None
-            )
-        summary[stratum] = part
-    return summary
-
-
-@functools.cache
-def describe_machine() -> dict[str, Any]:
-    """What the numbers were measured on."""
-    model = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [x for x in cpuinfo.read_text().splitlines() if x.startswith("model name")]
-        model = names[0].split(":", 1)[1].strip() if names else model
-    return {
-        "processor": model,
-        "cores": len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count(),
-        "device": jax.devices()[0].device_kind,
-        "python": platform.python_version(),
-        "jax": jax.__version__,
-        "gnnjax": importlib.metadata.version("gnnjax"),
-    }
 
 
 def _earlier_results(path: Path, settings: dict[str, Any]) -> list[dict]:
@@ -323,7 +195,7 @@ def _check_rows(rows: list[dict]) -> None:
     """Raises where rows are not those of the first problems."""
     if [row["index"] for row in rows] != list(range(len(rows))):
         raise ValueError("a row is missing")
-    if not all(row.keys() >= _ROW for row in rows):
+    if not all(row.keys() >= ROW for row in rows):
         raise ValueError("a row lacks quantities")
 
 

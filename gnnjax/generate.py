@@ -7,50 +7,40 @@ python -m gnnjax.generate --split test --family shelf   # harder ones
 
 import contextlib
 import dataclasses
-import functools
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.checker import Backend, Checker, make_checker
-from gnnjax.collision.fused import boxes_clear
-from gnnjax.devices import cache_compilations, over_problems
+from gnnjax.collision.checker import Backend
+from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import check_target, is_leftover, locked
-from gnnjax.problems.families import FAMILIES, FamilyName
-from gnnjax.problems.family_problem import sample_family_problem
-from gnnjax.problems.problem import (
+from gnnjax.problems.file import save_problems
+from gnnjax.problems.labelled import (
+    SPLITS,
+    Family,
+    Split,
+    generate_labelled,
+    problem_keys,
+    to_problem_set,
+)
+from gnnjax.problems.shards import (
     MANIFEST,
-    Problem,
-    ProblemSet,
     check_origin,
     intact_shards,
     load_problems,
     origin,
     read_manifest,
-    sample_problem,
-    save_problems,
     save_shard,
 )
-from gnnjax.roadmap.graph import Roadmap, default_radius
-from gnnjax.roadmap.paths import Labels, edge_validity, label_roadmap
-from gnnjax.roadmap.sampled import sample_roadmap
-
-Split = Literal["train", "validation", "test"]
-Family: TypeAlias = Literal["paper"] | FamilyName
 
 _ORIGIN = "generated"  # array of a single file that says what the manifest says of a folder
-
-# Sizes of the paper's sets, and what keeps the sets of one seed apart.
-_SPLITS = {"train": (0, 3000), "validation": (1, 100), "test": (2, 300)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,145 +69,10 @@ class GenerateConfig:
     """Collision backend."""
 
 
-class LabelledRoadmap(NamedTuple):
-    """What a network learns from: a problem, one roadmap of it, and its labels."""
-
-    problem: Problem
-    roadmap: Roadmap
-    labels: Labels
-
-
-def generate_labelled(
-    robot: Robot, num_nodes: int, checker: Backend = "fused", family: str = "paper"
-) -> Callable[[jax.Array], Problem | LabelledRoadmap]:
-    """Makes the compiled function `keys [P] -> LabelledRoadmap [P]`, or `Problem [P]` for 0 nodes.
-
-    The function raises `InputError` where the family does not fit the arm.
-    """
-    if family not in ("paper", *FAMILIES):
-        raise InputError(f"no family {family!r}; there are {['paper', *FAMILIES]}")
-    draw, check = _problem_sampler(robot, checker, family)
-
-    def label(key: jax.Array, problem: Problem) -> LabelledRoadmap:
-        sampled = sample_roadmap(
-            key,
-            functools.partial(check.check_configurations, problem.scene),
-            robot,
-            problem.start,
-            problem.goal,
-            num_nodes=num_nodes,
-            radius=default_radius(robot, num_nodes),
-        )
-        edges = functools.partial(check.check_edges, problem.scene)
-        valid = edge_validity(sampled.roadmap, edges).edge_valid
-        return LabelledRoadmap(problem, sampled.roadmap, label_roadmap(sampled.roadmap, valid))
-
-    def one(key: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:
-        problem_key, roadmap_key = jax.random.split(key)
-        problem, found = draw(problem_key)
-        return label(roadmap_key, problem) if num_nodes else problem, found
-
-    @jax.jit
-    def compiled(keys: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:
-        return over_problems(one, jnp.ones(len(keys), bool), keys)
-
-    def generate(keys: jax.Array) -> Problem | LabelledRoadmap:
-        drawn, found = compiled(keys)
-        if not np.all(found):
-            raise InputError(
-                f"no start and goal for {int((~np.asarray(found)).sum())} of {len(keys)} problems "
-                f"of the family {family!r} with {robot.name}; choose another family for this arm"
-            )
-        return drawn
-
-    return generate
-
-
-def _problem_sampler(
-    robot: Robot, checker: Backend, family: str
-) -> tuple[Callable[[jax.Array], tuple[Problem, jax.Array]], Checker]:
-    """`key -> (problem, whether one was found)`, and the checker for the family's scenes."""
-    zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
-    clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
-    if family == "paper":
-        check = make_checker(robot, checker, axis_aligned=True)
-
-        def draw_paper(key: jax.Array) -> tuple[Problem, jax.Array]:
-            # Every arm's q = 0 stands upright in the paper; the scene leaves it clear.
-            problem = sample_problem(key, robot, check.check_configurations, clear)
-            return problem, jnp.ones((), bool)
-
-        return draw_paper, check
-
-    check = make_checker(robot, checker)
-    base_clear = functools.partial(clear, base_only=True)
-
-    def draw(key: jax.Array) -> tuple[Problem, jax.Array]:
-        sampled = sample_family_problem(key, family, robot, check.check_configurations, base_clear)
-        return sampled.problem, sampled.found
-
-    return draw, check
-
-
-def problem_keys(seed: int, split: Split, first: int, num: int, family: str = "paper") -> jax.Array:
-    """The keys of problems `first` to `first + num` of a split; the size of the set is no part."""
-    key = jax.random.fold_in(jax.random.key(seed), _SPLITS[split][0])
-    if family != "paper":
-        # Numbers beyond those of the paper's problems, whose keys are folded in at this place.
-        key = jax.random.fold_in(key, 2**31 + list(FAMILIES).index(family))
-    return jax.vmap(functools.partial(jax.random.fold_in, key))(np.arange(first, first + num))
-
-
-def to_problem_set(robot: Robot, drawn: Problem | LabelledRoadmap) -> ProblemSet:
-    """Arrays as they go to disk: indices and masks in as few bits as they need."""
-    drawn = jax.tree.map(np.asarray, drawn)
-    if isinstance(drawn, Problem):
-        return ProblemSet(robot.name, drawn)
-    roadmap, labels = drawn.roadmap, drawn.labels
-    extras = {
-        "roadmap_nodes": roadmap.nodes,
-        "roadmap_node_mask": roadmap.node_mask,
-        "roadmap_neighbors": roadmap.neighbors.astype(np.uint16),
-        "roadmap_neighbor_mask": roadmap.neighbor_mask,
-        "roadmap_lengths": roadmap.lengths,
-        "roadmap_num_dropped": roadmap.num_dropped,
-        "label_edge_valid": labels.edge_valid,
-        "label_cost_to_go": labels.cost_to_go,
-        "label_next_node": labels.next_node.astype(np.int16),
-    }
-    return ProblemSet(robot.name, drawn.problem, extras)
-
-
-def from_problem_set(problems: ProblemSet) -> LabelledRoadmap:
-    """The roadmaps and labels of a set that was generated with them, as NumPy arrays.
-
-    Raises:
-        InputError: the set has none.
-    """
-    extras = problems.extras
-    missing = [
-        name
-        for prefix, kind in (("roadmap", Roadmap), ("label", Labels))
-        for name in (f"{prefix}_{field}" for field in kind._fields)
-        if name not in extras
-    ]
-    if missing:
-        raise InputError(
-            f"the problem set lacks the roadmaps or labels {missing}; generate it with --num-nodes"
-        )
-    roadmap = Roadmap(**{name: extras[f"roadmap_{name}"] for name in Roadmap._fields})
-    labels = Labels(**{name: extras[f"label_{name}"] for name in Labels._fields})
-    return LabelledRoadmap(
-        problems.problems,
-        roadmap._replace(neighbors=roadmap.neighbors.astype(np.int32)),
-        labels._replace(next_node=labels.next_node.astype(np.int32)),
-    )
-
-
 def generate(config: GenerateConfig) -> Path:
     """Draws what is missing of a set, shard by shard, and returns where it is."""
     robot = load_robot(config.robot)
-    num = _SPLITS[config.split][1] if config.num_problems is None else config.num_problems
+    num = SPLITS[config.split][1] if config.num_problems is None else config.num_problems
     nodes = (0 if config.split == "test" else 200) if config.num_nodes is None else config.num_nodes
     if num < 1 or config.shard_size < 1:
         raise InputError(

@@ -22,14 +22,20 @@ from flax import nnx
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, run_command
-from gnnjax.generate import LabelledRoadmap, from_problem_set, generate_labelled, problem_keys
 from gnnjax.guide.view import point_distances
 from gnnjax.paper.losses import graph_losses
 from gnnjax.paper.network import GuidanceNetwork, Part
 from gnnjax.paper.strategy import gnn
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
-from gnnjax.problems.problem import Problem, load_problems
+from gnnjax.problems.labelled import (
+    LabelledRoadmap,
+    from_problem_set,
+    generate_labelled,
+    problem_keys,
+)
+from gnnjax.problems.problem import Problem
+from gnnjax.problems.shards import load_problems
 from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
 
 

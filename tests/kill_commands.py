@@ -22,9 +22,11 @@ import gnnjax.training.weights
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.generate import GenerateConfig, LabelledRoadmap
+from gnnjax.generate import GenerateConfig
 from gnnjax.planning.query import Plan
-from gnnjax.problems.problem import Problem, ProblemSet, save_problems
+from gnnjax.problems.file import save_problems
+from gnnjax.problems.labelled import LabelledRoadmap
+from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import make_scene
 from gnnjax.train import TrainConfig

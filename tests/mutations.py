@@ -158,7 +158,8 @@ def scenes(folder: Path) -> Callable[[random.Random, Path], Callable[[], object]
 def _problem_file(folder: Path) -> Path:
     import numpy as np
 
-    from gnnjax.problems.problem import Problem, ProblemSet, save_problems
+    from gnnjax.problems.file import save_problems
+    from gnnjax.problems.problem import Problem, ProblemSet
     from gnnjax.scene.scene import Scene
 
     rng = np.random.default_rng(0)
@@ -238,7 +239,7 @@ def _mutate_npz(rng: random.Random, good: Path, path: Path) -> None:
 
 def problem_files(folder: Path) -> Callable[[random.Random, Path], Callable[[], object]]:
     from gnnjax.arm.robot import load_robot
-    from gnnjax.problems.problem import load_problems
+    from gnnjax.problems.shards import load_problems
 
     good, robot = _problem_file(folder), load_robot(_arm(folder))
 
@@ -255,7 +256,7 @@ def problem_files(folder: Path) -> Callable[[random.Random, Path], Callable[[], 
 
 def manifests(folder: Path) -> Callable[[random.Random, Path], Callable[[], object]]:
     from gnnjax.arm.robot import load_robot
-    from gnnjax.problems.problem import (
+    from gnnjax.problems.shards import (
         MANIFEST,
         check_origin,
         load_problems,

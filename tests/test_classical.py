@@ -16,8 +16,9 @@ from gnnjax.baselines.ompl import ClassicalPlanner
 from gnnjax.collision.certify import certify_path, configuration_clearance
 from gnnjax.collision.checker import make_checker
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, _within, evaluate
+from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
+from gnnjax.measure.rows import within
 from gnnjax.planning.options import make_options
 from gnnjax.planning.planner import Planner, make_planner
 from gnnjax.problems.problem import Problem
@@ -315,8 +316,8 @@ def test_a_closed_ledger_tests_nothing():
 
 def test_a_path_that_comes_too_late_is_a_failure():
     row = {"success": True, "total_time_s": 2.0, "path": [[0.0]], "cost": 1.0, "certified": True}
-    assert _within(row, 2.5) == row
-    late = _within(row, 1.5)
+    assert within(row, 2.5) == row
+    late = within(row, 1.5)
     assert not late["success"]
     assert not late["certified"]
     assert late["path"] == []

@@ -10,7 +10,7 @@ import pytest
 from experiments.convert_public import ConvertConfig, convert
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.problems.problem import load_problems
+from gnnjax.problems.shards import load_problems
 
 
 def entries(num: int = 4) -> list:

@@ -12,11 +12,13 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, evaluate, print_summary, summarize
+from gnnjax.evaluate import EvaluateConfig, evaluate, print_summary
 from gnnjax.files import locked
 from gnnjax.generate import GenerateConfig, generate
+from gnnjax.measure.statistics import summarize
 from gnnjax.planning.planner import Planner, make_planner
-from gnnjax.problems.problem import load_problems, save_problems
+from gnnjax.problems.file import save_problems
+from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import Scene
 
 ROW = (

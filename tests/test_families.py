@@ -15,11 +15,12 @@ from gnnjax.collision.certify import configuration_clearance
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
-from gnnjax.generate import GenerateConfig, generate, generate_labelled, problem_keys
+from gnnjax.generate import GenerateConfig, generate
 from gnnjax.problems import family_problem
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import arm_reach, sample_family_problem
-from gnnjax.problems.problem import load_problems, read_manifest
+from gnnjax.problems.labelled import generate_labelled, problem_keys
+from gnnjax.problems.shards import load_problems, read_manifest
 from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

@@ -16,8 +16,9 @@ import gnnjax.generate
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import configuration_clearance
 from gnnjax.errors import InputError
-from gnnjax.generate import GenerateConfig, from_problem_set, generate
-from gnnjax.problems.problem import load_problems, read_manifest
+from gnnjax.generate import GenerateConfig, generate
+from gnnjax.problems.labelled import from_problem_set
+from gnnjax.problems.shards import load_problems, read_manifest
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,9 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.mjx import _frames_in_bodies, _placer
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
-from gnnjax.generate import GenerateConfig, from_problem_set, generate
-from gnnjax.problems.problem import load_problems
+from gnnjax.generate import GenerateConfig, generate
+from gnnjax.problems.labelled import from_problem_set
+from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import make_scene
 
 with contextlib.redirect_stdout(io.StringIO()):

@@ -43,11 +43,13 @@ collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion
 search.knowledge search.greedy search.lazy search.shorten search.guided
-problems.problem problems.families problems.family_problem
+problems.problem problems.file problems.shards problems.families problems.family_problem
+problems.labelled
 planning.options planning.query planning.strategy planning.engine planning.planner
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
+measure.machine measure.rows measure.statistics
 generate paper.losses train train_motion evaluate plot plan fit
 """.split()
 # Imported up the list, inside of functions: by name, when somebody asks for it.

@@ -10,16 +10,9 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.problems.problem import (
-    MANIFEST,
-    Problem,
-    ProblemSet,
-    load_problems,
-    read_manifest,
-    sample_problem,
-    save_problems,
-    save_shard,
-)
+from gnnjax.problems.file import save_problems
+from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
+from gnnjax.problems.shards import MANIFEST, load_problems, read_manifest, save_shard
 from gnnjax.scene.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

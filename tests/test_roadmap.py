@@ -11,8 +11,9 @@ from scipy.spatial.distance import cdist
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import EdgeChecks
 from gnnjax.paper.graphs import graphs_tuple
+from gnnjax.problems.labelled import label_roadmap
 from gnnjax.roadmap.graph import connect, radius_for_degree, reverse_slots
-from gnnjax.roadmap.paths import cost_to_go, edge_validity, for_each_edge, label_roadmap
+from gnnjax.roadmap.paths import cost_to_go, edge_validity, for_each_edge
 
 jitted_connect = jax.jit(connect, static_argnums=3)
 

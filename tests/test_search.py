@@ -13,8 +13,9 @@ from scipy.sparse.csgraph import dijkstra
 from gnnjax.collision.checker import EdgeChecks
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.paper.strategy import network_scorer
+from gnnjax.problems.labelled import label_roadmap
 from gnnjax.roadmap.graph import GOAL, connect
-from gnnjax.roadmap.paths import edge_validity, label_roadmap
+from gnnjax.roadmap.paths import edge_validity
 from gnnjax.scene.scene import make_scene
 from gnnjax.search.greedy import (
     distance_scorer,

@@ -15,7 +15,7 @@ CONSUMERS = {
     "MJX backend": "gnnjax.collision.mjx",
     "certificate": "gnnjax.collision.certify",
     "view of the arm": "gnnjax.guide.view",
-    "problem file": "gnnjax.problems.problem",
+    "problem file": "gnnjax.problems.file",
     "occupancy grid": "gnnjax.paper.occupancy",
     "picture": "gnnjax.plot",
 }

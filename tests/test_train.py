@@ -18,12 +18,13 @@ import gnnjax.train
 import gnnjax.training.run
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.generate import GenerateConfig, from_problem_set, generate
+from gnnjax.generate import GenerateConfig, generate
 from gnnjax.paper.graphs import edge_bucket
 from gnnjax.paper.losses import graph_losses, step_targets, walk_losses
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.planning.planner import load_planner
-from gnnjax.problems.problem import load_problems
+from gnnjax.problems.labelled import from_problem_set
+from gnnjax.problems.shards import load_problems
 from gnnjax.roadmap.graph import GOAL
 from gnnjax.train import LOSS_OPTIONS, PRESETS, make_optimizer, parse, train
 from gnnjax.training.checkpoint import TrainingCheckpoints

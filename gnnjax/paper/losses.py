@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
-from gnnjax.generate import LabelledRoadmap
 from gnnjax.paper.encoding import Encoding
 from gnnjax.paper.graphs import edge_bucket
 from gnnjax.paper.network import GuidanceNetwork
+from gnnjax.problems.labelled import LabelledRoadmap
 from gnnjax.roadmap.graph import GOAL, START
 from gnnjax.scene.scene import Scene
 

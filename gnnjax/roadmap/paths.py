@@ -13,14 +13,6 @@ from gnnjax.roadmap.graph import GOAL, START, Roadmap, reverse_slots
 _EDGES_A_BLOCK = 1024  # bounds the memory of labelling whatever the roadmap's size
 
 
-class Labels(NamedTuple):
-    """What planning on a roadmap can know at best."""
-
-    edge_valid: Bool[Array, "*batch N K"]  # true where a slot's edge is valid
-    cost_to_go: Float[Array, "*batch N"]  # to the goal over valid edges; inf if unreachable
-    next_node: Int[Array, "*batch N"]  # towards the goal; -1 at the goal and where unreachable
-
-
 class ValidityLabels(NamedTuple):
     """Validity of all edges of a roadmap and what it took to find out."""
 
@@ -140,16 +132,6 @@ def next_slots(
     """
     edge_cost = jnp.where(roadmap.neighbor_mask, edge_cost, jnp.inf)
     return jnp.argmin(edge_cost + cost[roadmap.neighbors], axis=1).astype(jnp.int32)
-
-
-def label_roadmap(roadmap: Roadmap, edge_valid: Bool[Array, "N K"]) -> Labels:
-    """Cost-to-go and next node on the valid edges of a roadmap."""
-    edge_cost = jnp.where(edge_valid, roadmap.lengths, jnp.inf)
-    cost = cost_to_go(roadmap, edge_cost)
-    slots = next_slots(roadmap, edge_cost, cost)
-    following = jnp.take_along_axis(roadmap.neighbors, slots[:, None], axis=1)[:, 0]
-    reachable = jnp.isfinite(cost) & (jnp.arange(len(cost)) != GOAL)
-    return Labels(edge_valid, cost, jnp.where(reachable, following, -1))
 
 
 def follow(roadmap: Roadmap, slots: Int[Array, " N"], cost: Float[Array, " N"]) -> Int[Array, " N"]:

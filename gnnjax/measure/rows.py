@@ -1,0 +1,77 @@
+"""The result of one problem, as it goes to the file."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.checker import make_checker
+from gnnjax.planning.query import Plan
+from gnnjax.problems.problem import Problem
+from gnnjax.scene.scene import is_axis_aligned
+
+# What is summed up over problems, and whether problems without a path count.
+QUANTITIES = {
+    "edge_checks": True,
+    "configuration_checks": True,
+    "sampling_checks": True,
+    "search_checks": True,
+    "planning_time_s": True,
+    "total_time_s": True,
+    "cost": False,
+}
+
+# What each problem's results have at least.
+ROW = {"index", "valid", "hard", "success", "certified", "roadmaps", *QUANTITIES}
+
+
+def make_row(index: int, plan: Plan | None, invalid: str, hard: bool, checking: float) -> dict:
+    """The result of one problem; `plan` is None for an invalid problem."""
+    if plan is None:
+        zeros = {name: 0 for name in QUANTITIES if name != "cost"}
+        return {
+            "index": index,
+            "valid": False,
+            "hard": hard,
+            "success": False,
+            "reason": f"invalid problem: {invalid}",
+            "path": [],
+            "cost": None,
+            "certified": False,
+            "roadmaps": 0,
+            **zeros,
+        }
+    row = {"index": index, "valid": True, "hard": hard, **plan._asdict()}
+    row["path"] = plan.path.astype(float).tolist()
+    row["cost"] = plan.cost if plan.success else None  # JSON has no infinity
+    row["total_time_s"] = plan.total_time_s + checking
+    return row
+
+
+def within(row: dict, time_limit: float) -> dict:
+    """The row as it is, or as a failure where the path came too late."""
+    if not row["success"] or row["total_time_s"] <= time_limit:
+        return row
+    reason = f"a path after {row['total_time_s']:.2f} s, and the limit is {time_limit} s"
+    late = {"success": False, "reason": reason, "path": [], "cost": None, "certified": False}
+    return row | late
+
+
+def straight_line_blocked(robot: Robot, checker: str, problems: Problem) -> np.ndarray:
+    """Tells for each problem whether the straight line from start to goal is blocked: the hard
+    ones. That does not depend on the resolution a planner is asked for."""
+    check = make_checker(
+        robot,
+        "mjx" if checker == "mjx" else "fused",
+        axis_aligned=is_axis_aligned(problems.scene),
+    )
+
+    @jax.jit
+    def blocked(problems: Problem) -> jax.Array:
+        def one(problem: Problem) -> jax.Array:
+            ends = problem.start[None], problem.goal[None]
+            return ~check.check_edges(problem.scene, *ends).valid[0]
+
+        return jax.lax.map(one, problems)
+
+    return np.asarray(blocked(jax.tree.map(jnp.asarray, problems)))

@@ -1,0 +1,185 @@
+"""Larger problem sets: folders of problem files, with a manifest that says what is in them."""
+
+import hashlib
+import importlib.metadata
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError, brief
+from gnnjax.files import atomic_write
+from gnnjax.problems.file import load_file, save_problems
+from gnnjax.problems.problem import ProblemSet
+from gnnjax.scene.scene import pad_scene
+
+MANIFEST = "manifest.json"  # of a folder of shards
+
+
+def load_problems(path: str | Path, robot: Robot) -> ProblemSet:
+    """Reads a problem set for `robot`, padded to a box bucket.
+
+    Args:
+        path: an `.npz`, or a folder of shards whose checksums are then verified.
+        robot: the arm that the problems must be for.
+
+    Raises:
+        InputError: no such file, no problem set, wrong arrays, further arrays that name obstacles,
+            or another robot's problems.
+    """
+    path = Path(path)
+    return _load_shards(path, robot) if path.is_dir() else load_file(path, robot)
+
+
+def save_shard(
+    folder: str | Path, index: int, problem_set: ProblemSet, *, seed: int, settings: dict[str, Any]
+) -> None:
+    """Writes shard `index` of a larger set, then enters it in the folder's manifest.
+
+    A run that was cut short goes on where the manifest ends. One writer at a time.
+
+    Args:
+        folder: made if missing.
+        index: counts from 0; writing a shard again replaces it.
+        problem_set: the problems of this shard.
+        seed: of the whole set.
+        settings: of the generator, as JSON.
+
+    Raises:
+        InputError: the folder holds a set of another robot, seed, settings or code version.
+    """
+    folder, file = Path(folder), f"shard_{index:05d}.npz"
+    ours = origin(problem_set.robot, seed, settings)
+    shards: list[dict[str, Any]] = []
+    if (folder / MANIFEST).exists():
+        manifest = read_manifest(folder)
+        check_origin(folder, manifest, ours)
+        shards = [shard for shard in manifest["shards"] if shard["file"] != file]
+    save_problems(folder / file, problem_set)
+    shards.append({"file": file, "problems": len(problem_set), "sha256": _sha256(folder / file)})
+    shards.sort(key=lambda shard: shard["file"])
+    text = json.dumps({**ours, "shards": shards}, indent=1) + "\n"
+    atomic_write(folder / MANIFEST, lambda out: out.write_text(text, encoding="utf-8"))
+
+
+def origin(robot: str, seed: int, settings: dict[str, Any]) -> dict[str, Any]:
+    """What all shards of a set have in common, as its manifest says it."""
+    return {
+        "robot": robot,
+        "seed": seed,
+        # As it will be read back: tuples become lists.
+        "settings": json.loads(json.dumps(settings)),
+        "code_version": _code_version(),
+    }
+
+
+def check_origin(folder: str | Path, manifest: dict[str, Any], ours: dict[str, Any]) -> None:
+    """Refuses to go on with a set that was generated otherwise.
+
+    Raises:
+        InputError: another robot, seed, settings or code version.
+    """
+    for name, value in ours.items():
+        theirs = manifest.get(name)
+        if theirs != value:
+            if isinstance(theirs, dict) and isinstance(value, dict):
+                options = sorted(theirs.keys() | value.keys())
+                differ = [x for x in options if theirs.get(x) != value.get(x)]
+                name = f"{name} {brief(differ)}"
+                theirs, value = ([x.get(option) for option in differ] for x in (theirs, value))
+            raise InputError(
+                f"{str(folder)!r} was generated with {name} {brief(theirs)}, not {brief(value)}; "
+                "write to an empty folder"
+            )
+
+
+def read_manifest(folder: str | Path) -> dict[str, Any]:
+    """Reads and checks a manifest: robot, seed, settings, code_version and the list of shards."""
+    path = Path(folder) / MANIFEST
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(
+            f"folder {str(folder)!r} has no {MANIFEST}; name an .npz, or a folder of shards"
+        ) from None
+    except IsADirectoryError:
+        raise InputError(f"{str(path)!r} is a folder; generate the set again") from None
+    except (ValueError, RecursionError) as error:  # no JSON, no text, or nested without end
+        raise InputError(f"{str(path)!r} is no JSON: {error}; generate the set again") from None
+    shards = manifest.get("shards") if isinstance(manifest, dict) else None
+    well_formed = isinstance(shards, list) and all(
+        isinstance(shard, dict)
+        and type(shard.get("problems")) is int
+        and isinstance(shard.get("sha256"), str)
+        and isinstance(shard.get("file"), str)
+        and _is_file_name(shard["file"])
+        for shard in shards
+    )
+    if not well_formed or not shards:
+        raise InputError(
+            f'{str(path)!r} lacks a list "shards" of {{"file", "problems", "sha256"}}; '
+            "generate the set again"
+        )
+    return manifest
+
+
+def intact_shards(folder: str | Path) -> dict[str, int]:
+    """The shards that a manifest names and that are there as it says, and their problems."""
+    folder = Path(folder)
+    return {
+        shard["file"]: shard["problems"]
+        for shard in read_manifest(folder)["shards"]
+        if (folder / shard["file"]).is_file() and _sha256(folder / shard["file"]) == shard["sha256"]
+    }
+
+
+def _is_file_name(name: str) -> bool:
+    """Whether a file inside of a folder can have this name."""
+    try:
+        return name == Path(name).name and len(os.fsencode(name)) <= 255 and "\0" not in name
+    except UnicodeEncodeError:
+        return False
+
+
+def _load_shards(folder: Path, robot: Robot) -> ProblemSet:
+    sets: list[ProblemSet] = []
+    for shard in read_manifest(folder)["shards"]:
+        file = folder / shard["file"]
+        if not file.is_file():
+            raise InputError(f"{MANIFEST} names {str(file)!r}, which is missing; generate it again")
+        if _sha256(file) != shard["sha256"]:
+            raise InputError(
+                f"{str(file)!r} is not the file that {MANIFEST} names (its SHA-256 differs); "
+                "generate it again"
+            )
+        sets.append(load_file(file, robot))
+        if sets[-1].extras.keys() != sets[0].extras.keys():
+            raise InputError(
+                f"{str(file)!r} has the further arrays {sorted(sets[-1].extras)}, the first shard "
+                f"{sorted(sets[0].extras)}; generate the set again"
+            )
+    size = max(s.problems.scene.mask.shape[1] for s in sets)
+    problems = [s.problems._replace(scene=pad_scene(s.problems.scene, size)) for s in sets]
+    extras = {
+        name: np.concatenate([s.extras[name] for s in sets])
+        if all(s.extras[name].shape[:1] == (len(s),) for s in sets)
+        else value  # one for the whole set
+        for name, value in sets[0].extras.items()
+    }
+    return ProblemSet(robot.name, jax.tree.map(lambda *x: np.concatenate(x), *problems), extras)
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _code_version() -> str:
+    try:
+        return importlib.metadata.version("gnnjax")
+    except importlib.metadata.PackageNotFoundError:  # run from a checkout that is not installed
+        return "unknown"
