@@ -99,7 +99,7 @@ def run_training(training: Training, config: Any) -> Path:
         return run.finish(state.weights)
 
 
-def check_bounds(config: Any, least: dict[str, float]) -> None:
+def check_bounds(config: Any, least: dict[str, int]) -> None:
     """Refuses numbers that nothing can be trained with, before anything is computed.
 
     Args:
