@@ -27,7 +27,7 @@ from gnnjax.roadmap.graph import GOAL, Roadmap
 from gnnjax.roadmap.sampled import SampledRoadmap
 from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, Found, Knowledge, nothing_known
-from gnnjax.search.shorten import NUM_POINTS
+from gnnjax.search.shorten import PATH_POINTS
 
 
 class Compiled(NamedTuple):
@@ -180,7 +180,7 @@ class Batch:
 
         def shorten() -> None:
             num, num_dof = self.problems.start.shape
-            points = jnp.zeros((num, NUM_POINTS, num_dof))
+            points = jnp.zeros((num, PATH_POINTS, num_dof))
             self._shorten_once(points, np.zeros(_path_status(num), np.int8), nobody)
 
         numbers = range(min(kinds, self.options.max_roadmaps))
@@ -338,4 +338,4 @@ class Batch:
 
 def _path_status(num: int) -> tuple[int, int, int]:
     """Shape of what is known of the path roadmaps of P problems."""
-    return num, NUM_POINTS, NUM_POINTS
+    return num, PATH_POINTS, PATH_POINTS
