@@ -1,7 +1,9 @@
 """The same seeds give the same plans as when tests/data/plans.json was written.
 
-A change that is meant to change plans writes it anew: `python -m tests.test_equal_results`. With three
-hundred problems of the Kuka, `tests/equal_results.py` does the same for two versions of the code.
+A change that is meant to change plans writes it anew: `python -m tests.test_equal_results`. With
+three hundred problems of the Kuka and all planners, `tests/equal_results.py` compares two versions
+on one machine; "guided" is not among those here, since its network's rounding, which is another on
+another processor, decides between paths that are nearly equal.
 """
 
 import json
@@ -21,7 +23,7 @@ from tests.conftest import TINY
 from tests.equal_results import differences, plan_all
 
 GOLDEN = Path(__file__).parent / "data" / "plans.json"
-PLANNERS = ("guided", "lazysp", "distance")
+PLANNERS = ("lazysp", "distance")
 OPTIONS = {"num_nodes": 40, "max_roadmaps": 2}
 
 
@@ -48,12 +50,12 @@ def test_plans_are_those_of_before(tiny_path, quick_compilation, name):
 
 
 def test_a_difference_is_found():
-    before = json.loads(GOLDEN.read_text())["guided"]
-    after = json.loads(GOLDEN.read_text())["guided"]
+    before = json.loads(GOLDEN.read_text())["lazysp"]
+    after = json.loads(GOLDEN.read_text())["lazysp"]
     solved = next(i for i, row in enumerate(after) if row["success"])
     after[solved]["path"][0][0] += 1e-3
     assert differences(before, after, tolerance=1e-4) == [solved]
-    after = json.loads(GOLDEN.read_text())["guided"]
+    after = json.loads(GOLDEN.read_text())["lazysp"]
     after[solved]["edge_checks"] += 1
     assert differences(before, after) == [solved]
 
