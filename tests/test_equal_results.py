@@ -42,7 +42,7 @@ def draw_problems(robot, num=6):
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-def test_plans_are_those_of_before(tiny_path, quick_compilation, name):
+def test_plans_are_those_of_before(tiny_path, name):
     problems = draw_problems(load_robot(tiny_path))
     found = plan_all(str(tiny_path), name, problems, 6, **OPTIONS)
     assert sum(row["success"] for row in found) >= 4

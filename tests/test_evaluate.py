@@ -175,9 +175,7 @@ def test_a_batch_finds_what_single_queries_find(tiny_path, problems, results, tm
 
 
 @pytest.mark.parametrize("variant", [{}, {"shorten": False, "sampled": True}])
-def test_the_guided_planner_is_warm_before_it_is_timed(
-    tiny_path, problems, tmp_path, quick_compilation, variant
-):
+def test_the_guided_planner_is_warm_before_it_is_timed(tiny_path, problems, tmp_path, variant):
     case = config(tiny_path, problems, tmp_path / "guided.json", planner="guided", **variant)
     planner = make_planner(load_robot(tiny_path), case)
     assert isinstance(planner, Planner)
