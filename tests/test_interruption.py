@@ -50,7 +50,7 @@ def test_a_signal_while_a_training_compiles_says_how_to_go_on(
         again = "start the same command again with --resume to go on"
         assert process.stderr.read() == f"{word}; {again}\n"
         assert process.wait() == status
-    # A compiler that does not come back is not waited for; what the next command takes away may stay.
+    # A compiler that does not come back is not waited for: then the lock stays for the next one.
     assert all(is_leftover(path.name) for path in out.iterdir())
 
 
