@@ -234,7 +234,8 @@ def _in_one_core(config: BenchmarkConfig) -> dict:
     """Measures in a process of its own: how many cores JAX uses is settled when it starts."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one_core.json"
-        command = [sys.executable, __file__, "--one-core", "--json", str(path)]
+        command = [sys.executable, "-m", "experiments.benchmark_collision"]
+        command += ["--one-core", "--json", str(path)]
         for name, value in dataclasses.asdict(config).items():
             if name not in ("one_core", "json"):
                 command += [f"--{name.replace('_', '-')}", str(value)]

@@ -7,6 +7,7 @@ words, as its figures have no tables.
 from collections.abc import Callable
 from pathlib import Path
 
+from experiments.conclusions import conclusions
 from experiments.published import (
     FIGURE5,
     FIGURE5_CHECK_SHARES,
@@ -15,7 +16,7 @@ from experiments.published import (
 )
 from experiments.results import Measured, Row, of_set
 from experiments.style import label
-from experiments.tables import markdown
+from experiments.tables import markdown, seconds, span
 
 TEMPLATE = Path(__file__).with_name("paper_template.md")
 
@@ -159,6 +160,7 @@ def page(results: dict[str, Row]) -> str:
     """docs/paper.md."""
     figure5, figure7, failures = results["figure5"], results["figure7"], results["failures"]
     sizes = sorted({row["num_nodes"] for row in failures["rows"]})
+    first = of_set(figure5, "test")[0]
     heads = ("its network and protocol, here", "default network, greedy", "default network, lazy")
     share = failures["grid"]["start_or_goal_in_a_voxel"]
     return TEMPLATE.read_text(encoding="utf-8").format(
@@ -173,4 +175,10 @@ def page(results: dict[str, Row]) -> str:
         ),
         sizes=" / ".join(str(n) for n in sizes),
         voxels=percent(share, 0),
+        conclusions=conclusions(results),
+        check=seconds(results["crossover"]["marks_s"]["our fused kernel"]),
+        resolution=first["settings"]["resolution"],
+        problems=first["summary"]["num_problems"],
+        seven_sizes=span(Measured(of_set(figure5, "test")).sizes, "d"),
+        six_sizes=span(Measured(figure7["rows"]).sizes, "d"),
     )

@@ -91,7 +91,7 @@ def measured_on(results: Row, row: Row) -> str:
     )
 
 
-def span(values: Iterable[float], form: str, scale: float = 1.0) -> str:
+def span(values: Iterable[float], form: str, scale: float = 1) -> str:
     """The least to the largest of some numbers, or the one that they round to."""
     ordered = sorted(values)
     ends = dict.fromkeys(f"{scale * value:{form}}" for value in (ordered[0], ordered[-1]))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.conclusions import conclusions
 from experiments.readme import replace_section
 from experiments.record import Finding, judge
 from experiments.registry import EXPERIMENTS
@@ -142,3 +143,14 @@ def test_a_verdict_follows_its_results(name, change, before, after):
     assert before not in verdicts[1]
     assert after in verdicts[1]
     assert after not in verdicts[0]
+
+
+def test_a_conclusion_follows_the_results():
+    results = {name: load_results(Path("results") / f"{name}.json") for name in EXPERIMENTS}
+    statement = "- **Dead ends belong to the greedy walk, not to the network.**"
+    assert f"{statement} Holds: the lazy search has 0.0 % dead ends" in conclusions(results)
+    for row in of_planner(results["failures"], "gnn_lazy"):
+        row["dead_ends"]["mean"] = 0.02
+    found = conclusions(results)
+    assert f"{statement} Holds in part: its paths are" in found
+    assert "What does not hold: the lazy search has 2.0 % dead ends." in found
