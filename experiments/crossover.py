@@ -225,11 +225,11 @@ def verdict(results: Row) -> str:
     def finding(average: str) -> Finding:
         prices = [found["from_s"] for found in of("guided", average)]
         reached = [price for price in prices if price is not None]
-        if len(reached) < len(prices):
+        if len(reached) < len(prices) or not prices:
             won = f"against {len(reached)} of {len(prices)} only"
         else:
             won = f"against all, at the latest from {seconds(max(reached))} a check on"
-        return Finding(len(reached) == len(prices), f"guided is faster in the {average} {won}")
+        return Finding(0 < len(reached) == len(prices), f"guided is faster in the {average} {won}")
 
     others = []
     for guide in ("gnn", "gnn_lazy"):

@@ -16,6 +16,7 @@ runs as Figure 5:
 
 import dataclasses
 import functools
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -195,7 +196,8 @@ def verdict(results: Row) -> str:
     to blame only where it fails more often than a walk that sees no grid."""
 
     def each(planner: str, name: str, key: str = "mean") -> list[float]:
-        return [row[name][key] for row in results["rows"] if row["planner"] == planner]
+        rows = [row for row in results["rows"] if row["planner"] == planner]
+        return [math.nan if row[name] is None else row[name][key] for row in rows]
 
     def percent(planner: str, name: str) -> str:
         return span(each(planner, name), ".1f", 100) + " %"

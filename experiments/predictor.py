@@ -9,7 +9,7 @@ pieces of several largest lengths, without being trained anew.
 
 Operations are those on an edge of 3 rad. What a network sees of the arm (kinematics, distances of
 points to boxes), and a configuration check of the fused kernel, are counted in the compiled program
-like in `benchmark_collision.py`: sums, products, comparisons, roots, sines and so on, one each. An
+by `operations.py`: sums, products, comparisons, roots, sines and so on, one each. An
 edge of n pieces is seen at n + 1 configurations. The network's own are counted by formula for each
 piece: two for every weight, and ten for every point's features. A check of the edge tests what is
 between its ends every 0.05 rad. Boxes are as many as the scenes have in the mean, rounded.

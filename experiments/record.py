@@ -24,9 +24,8 @@ class Measurement(NamedTuple):
     """What an experiment measures, row by row, so that rows can be saved as they come."""
 
     rows: Iterable[Row]
-    head: Mapping[str, Any] = MappingProxyType(
-        {}
-    )  # further entries of the results file, known before its rows
+    # Further entries of the results file, known before its rows.
+    head: Mapping[str, Any] = MappingProxyType({})
 
 
 class Experiment(NamedTuple):
