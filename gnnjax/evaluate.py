@@ -7,7 +7,6 @@ A path that comes after the time limit is a failure, whatever the planner.
 Results are written as they come; the same command goes on where it was cut off.
 """
 
-import contextlib
 import dataclasses
 import importlib.metadata
 import json
@@ -116,22 +115,20 @@ def _plan_missing(
     config: EvaluateConfig,
 ) -> None:
     rows = results["problems"]
-    blocked = straight_line_blocked(planner.robot, config.checker, problems.problems)
     num, size = len(problems), config.batch_size
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     with Progress(*columns, TimeRemainingColumn()) as progress:
         task = progress.add_task("compiling", total=num, completed=len(rows))
-        written, checked, warm = time.monotonic(), False, False
+        progress.console.print("compiling; the first time that takes up to a minute")
+        blocked = straight_line_blocked(planner.robot, config.checker, problems.problems)
+        planner.warm_up(jax.tree.map(lambda x: x[0], problems.problems.scene), size)
+        written, warm = time.monotonic(), False
         for first in range(len(rows), num, size):
             batch = range(first, min(first + size, num))
             reasons: dict[int, str] = {}
             checking = np.zeros(num)
             for i in batch:
                 start, goal, scene = jax.tree.map(lambda x, i=i: x[i], problems.problems)
-                if not checked:  # the first time compiles
-                    with contextlib.suppress(InputError):
-                        check_query(planner.robot, scene, start, goal)
-                    checked = True
                 begin = time.perf_counter()
                 try:
                     check_query(planner.robot, scene, start, goal)
@@ -144,8 +141,7 @@ def _plan_missing(
                 # Whole batches, so that nothing is compiled again.
                 padded = np.array((valid + [valid[0]] * size)[:size])
                 queries = jax.tree.map(lambda x, at=padded: x[at], problems.problems)
-                if not warm:
-                    planner.warm_up(queries)
+                if not warm:  # the roadmaps of this seed are stored from now on
                     planner.plan_batch(queries, seed=config.seed)
                     warm = True
                 made = planner.plan_batch(queries, seed=config.seed)

@@ -50,7 +50,7 @@ def main(config: PlanConfig) -> int:
                 f"--image needs the viz extra ({error}); pip install 'gnnjax[viz]'"
             ) from None
         check_picture(config.image)
-    print("compiling and planning (the first run takes up to a minute, later ones seconds) ...")
+    print("compiling (the first run takes up to a minute, later ones seconds) and planning ...")
     plan = planner.plan(scene, np.array(config.start), np.array(config.goal), seed=config.seed)
     if not plan.success:
         print(plan.reason)

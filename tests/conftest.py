@@ -1,10 +1,14 @@
 """Settings and robots that several test files share."""
 
+import os
 from pathlib import Path
 
 import jax
 import pytest
 
+# Nearly all of the tests' time is compilation. Of commands that tests start, too.
+jax.config.update("jax_disable_most_optimizations", True)
+os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
 jax.config.update(
     "jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".pytest_cache" / "jax")
 )
@@ -38,11 +42,3 @@ def tiny_path(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "tiny.xml"
     path.write_text(TINY)
     return path
-
-
-@pytest.fixture(scope="module")
-def quick_compilation():
-    """For tests that compile much and compute little."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)

@@ -106,12 +106,12 @@ def _files(folder: Path) -> dict[str, Any]:
 class _Planner:
     """Plans a straight line, at once."""
 
-    checker, radius = "fused", 1.0
+    radius = 1.0
 
     def __init__(self):
         self.robot = load_robot(_ROBOT)
 
-    def check_query(self, scene: Any, start: Any, goal: Any) -> None:
+    def warm_up(self, scene: Any, batch_size: int) -> None:
         pass
 
     def plan_batch(self, problems: Problem, seed: int) -> list[Plan]:
@@ -136,6 +136,7 @@ def _evaluate(folder: Path) -> None:
     with (
         mock.patch.object(gnnjax.evaluate, "_WRITE_EVERY_S", -1.0),
         mock.patch.object(gnnjax.evaluate, "describe_machine", dict),
+        mock.patch.object(gnnjax.evaluate, "check_query", return_value=None),
         mock.patch.object(gnnjax.evaluate, "straight_line_blocked", return_value=hard),
     ):
         _finish(lambda: gnnjax.evaluate.evaluate(config, _Planner()))
@@ -182,6 +183,7 @@ def _labelled(num: int) -> LabelledRoadmap:
 
 def _train(folder: Path) -> None:
     config = TrainConfig(
+        data=Path("."),
         robot=str(_ROBOT),
         out=folder,
         resume=True,
@@ -196,6 +198,7 @@ def _train(folder: Path) -> None:
         for name, cheap in {
             "GuidanceNetwork": _Network,
             "Planner": lambda *args, **kwargs: None,
+            "gnn": lambda *args: None,
             "load_problems": lambda *args: problems,
             "from_problem_set": lambda problems: _labelled(4),
             "make_optimizer": lambda *args: _OPTIMIZER,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.certify_campaign import CampaignConfig, make_arms, measure_block, run
-from gnnjax.collision import certify
+from gnnjax.collision import bounds, certify
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +28,11 @@ def test_certified_edges_of_all_arms_survive_a_scan_and_graze(config):
 @pytest.mark.parametrize("share", [0.2, 0.0])
 def test_a_certificate_that_bounds_motion_too_low_is_refuted(config, monkeypatch, share):
     arm = make_arms(config)["kinova_gen3"]
-    reach = certify._Spheres._reach
-    monkeypatch.setattr(certify._Spheres, "_reach", lambda *given: share * reach(*given))
+    reach = bounds.Spheres._reach
+    monkeypatch.setattr(bounds.Spheres, "_reach", lambda *given: share * reach(*given))
     monkeypatch.setattr(certify, "_FIRST_CUT", 10.0)
-    certify._spheres.cache_clear()
+    bounds.spheres_of.cache_clear()
     rows = measure_block(arm, (1,), 60, 0.01)
-    certify._spheres.cache_clear()
+    bounds.spheres_of.cache_clear()
     assert sum("refuted" in row for row in rows) >= 3
     assert all(np.isfinite(row["gap"]) for row in rows)

@@ -407,7 +407,7 @@ def test_states_are_freed_with_their_query(planners, walled):
     assert sum(isinstance(x, Ledger) for x in gc.get_objects()) == before
 
 
-def test_our_planners_begin_no_roadmap_after_the_limit(robot, blocked, quick_compilation):
+def test_our_planners_begin_no_roadmap_after_the_limit(robot, blocked):
     def planner(**options):
         options = make_options("distance", num_nodes=20, max_roadmaps=3, **options)
         return make_planner(robot, options)

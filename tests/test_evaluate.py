@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import jax
 import numpy as np
 import pytest
 
@@ -174,14 +175,12 @@ def test_a_batch_finds_what_single_queries_find(tiny_path, problems, results, tm
 
 
 @pytest.mark.parametrize("variant", [{}, {"shorten": False, "sampled": True}])
-def test_the_guided_planner_is_warm_before_it_is_timed(
-    tiny_path, problems, tmp_path, quick_compilation, variant
-):
+def test_the_guided_planner_is_warm_before_it_is_timed(tiny_path, problems, tmp_path, variant):
     case = config(tiny_path, problems, tmp_path / "guided.json", planner="guided", **variant)
     planner = make_planner(load_robot(tiny_path), case)
     assert isinstance(planner, Planner)
     query = load_problems(problems, planner.robot).take(slice(1)).problems
-    planner.warm_up(query)
+    planner.warm_up(jax.tree.map(lambda x: x[0], query.scene))
     compiled = planner._compiled(True)
     sizes = [f._cache_size() for f in compiled]
     # On sampled roadmaps the later ones are made like the first.

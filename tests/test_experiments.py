@@ -50,9 +50,7 @@ def quick(name: str, tiny_path: Path, folder: Path) -> tuple[ExperimentConfig, d
 
 
 # One test for all of them, so that they run in one process and compile once.
-def test_quick_forms_write_results_and_figures_and_go_on(
-    tiny_path, folder, quick_compilation, monkeypatch
-):
+def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monkeypatch):
     planned = []
 
     def counted(config, planner=None):
@@ -119,7 +117,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(
     assert rows == earlier  # times too: nothing was run again
 
 
-def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder, quick_compilation):
+def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder):
     folders = {key: folder / key for key in ("data", "runs", "results", "trained")}
     config = predictor.PredictorConfig(quick=True, robot=str(tiny_path), **folders)
     results = run(predictor.EXPERIMENT, config)

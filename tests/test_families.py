@@ -23,8 +23,6 @@ from gnnjax.problems.labelled import generate_labelled, problem_keys
 from gnnjax.problems.shards import load_problems, read_manifest
 from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 NUM_BOXES = {
     "shelf": (6, 8),
     "table": (5, 10),

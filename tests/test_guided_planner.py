@@ -27,8 +27,6 @@ from gnnjax.roadmap.stored import insert_ends, stored_roadmap
 from gnnjax.scene.scene import make_scene
 from tests.fine_scan import collides_anywhere
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 NUM_NODES = 40
 # Two boxes that leave the first joint no way round, and a box above the base.
 WALLED = make_scene(

@@ -120,7 +120,7 @@ def test_a_shipped_arm_matches_the_fused_kernel_and_the_c_engine():
     assert by_itself > 0
 
 
-def test_geoms_of_all_kinds_match_the_c_engine(mixed, quick_compilation):
+def test_geoms_of_all_kinds_match_the_c_engine(mixed):
     rng = np.random.default_rng(6)
     check = jax.jit(make_checker(mixed, "mjx").check_configurations)
     wrong, num_valid = 0, 0
@@ -136,7 +136,7 @@ def test_geoms_of_all_kinds_match_the_c_engine(mixed, quick_compilation):
 
 
 @pytest.mark.parametrize("name", ["tiny", "mixed"])
-def test_poses_are_those_of_mjx(name, request, quick_compilation):
+def test_poses_are_those_of_mjx(name, request):
     robot = request.getfixturevalue(name)
     q = random_configurations(np.random.default_rng(7), robot, 3)
     rows = np.arange(len(robot.geom_ids))
@@ -172,7 +172,7 @@ def test_what_mjx_cannot_collide_is_refused(tiny, tmp_path):
         make_checker(load_robot(path), "mjx")
 
 
-def test_generated_labels_are_those_of_the_c_engine(tiny, tmp_path, quick_compilation):
+def test_generated_labels_are_those_of_the_c_engine(tiny, tmp_path):
     out = tmp_path / "train"
     settings = {"robot": str(tiny.path), "num_problems": 3, "num_nodes": 24, "shard_size": 3}
     generate(GenerateConfig(**settings, checker="mjx", out=out))
@@ -194,7 +194,7 @@ def test_generated_labels_are_those_of_the_c_engine(tiny, tmp_path, quick_compil
     assert 0 < num_valid < num_edges
 
 
-def test_plans_are_those_with_the_fused_kernel(tiny, tmp_path, quick_compilation):
+def test_plans_are_those_with_the_fused_kernel(tiny, tmp_path):
     problems = tmp_path / "problems.npz"
     settings = {"robot": str(tiny.path), "num_problems": 4}
     generate(GenerateConfig("test", **settings, seed=3, out=problems))
@@ -216,7 +216,7 @@ def test_plans_are_those_with_the_fused_kernel(tiny, tmp_path, quick_compilation
             assert ours[field] == theirs[field]
 
 
-def test_the_default_planner_runs_on_it(tiny, tmp_path, quick_compilation):
+def test_the_default_planner_runs_on_it(tiny, tmp_path):
     problems = tmp_path / "problems.npz"
     generate(GenerateConfig("test", robot=str(tiny.path), num_problems=2, out=problems))
     config = EvaluateConfig(
@@ -232,7 +232,7 @@ def test_the_default_planner_runs_on_it(tiny, tmp_path, quick_compilation):
     assert found["summary"]["all"]["certified"] > 0
 
 
-def test_labels_of_all_backends_are_compared(tiny, tmp_path, capsys, quick_compilation):
+def test_labels_of_all_backends_are_compared(tiny, tmp_path, capsys):
     path = tmp_path / "labels.json"
     main(CompareConfig(robot=str(tiny.path), edges=300, num_nodes=40, json=path))
     found = json.loads(path.read_text())
@@ -243,9 +243,7 @@ def test_labels_of_all_backends_are_compared(tiny, tmp_path, capsys, quick_compi
     assert "mjx from engine: 0 labels differ" in capsys.readouterr().out
 
 
-def test_a_judge_that_errs_is_named_with_the_engines_distance(
-    tiny, monkeypatch, capsys, quick_compilation
-):
+def test_a_judge_that_errs_is_named_with_the_engines_distance(tiny, monkeypatch, capsys):
     thin = dataclasses.replace(tiny, geom_radii=tiny.geom_radii - 0.01)
     monkeypatch.setattr(
         compare_labels,

@@ -18,8 +18,6 @@ from gnnjax.paper.occupancy import HalvingConv, occupancy_grid
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 LOWER, UPPER = (-1.2, -1.2, -0.4), (1.2, 1.2, 1.6)
 WALK = [0, 3, 5, 2, 3, 7, 4, 9]  # longer than the memory of the model under test
 

@@ -17,8 +17,6 @@ from gnnjax.planning.planner import load_planner
 from gnnjax.scene.scene import make_scene
 from gnnjax.training.weights import load_network, save_network
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def network():

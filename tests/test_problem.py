@@ -15,8 +15,6 @@ from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
 from gnnjax.problems.shards import MANIFEST, load_problems, read_manifest, save_shard
 from gnnjax.scene.scene import Scene
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def robot(tiny_path):

@@ -23,8 +23,6 @@ from gnnjax.scene.scene import (
     scene_to_json,
 )
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 BOX = {"center": [0.5, 0.0, 0.7], "half_extents": [0.1, 0.3, 0.2]}
 
 

@@ -331,7 +331,10 @@ def test_a_run_of_one_step_has_an_optimizer():
         ({"validity_weight": 0.0}, "workspace_points is 12 and needs validity_weight > 0"),
         ({"seed": -1}, "seed is -1"),
         ({"batch_size": 9}, "batch_size is 9; choose 1 to 8"),
-        ({"data": Path("missing")}, "no problem file 'missing'"),
+        (
+            {"data": Path("missing")},
+            "no training data at 'missing'; make some with python -m gnnjax.generate",
+        ),
     ],
 )
 def test_bad_settings_are_refused(tiny_path, data_path, tmp_path, change, message):

@@ -21,8 +21,6 @@ from gnnjax.train_motion import (
 from gnnjax.training.weights import load_network, read_metadata
 from tests.fine_scan import collides_anywhere
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def finished(tiny_path, tmp_path_factory):

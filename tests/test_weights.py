@@ -16,8 +16,6 @@ from gnnjax.training.checkpoint import TrainingCheckpoints
 from gnnjax.training.run import TrainState
 from gnnjax.training.weights import find_weights, load_network, read_metadata, save_network
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def network():
@@ -58,8 +56,7 @@ def test_saving_again_replaces_the_weights(path):
 
 def test_the_checkpoint_of_a_run_can_be_planned_with_too(network, tmp_path):
     state = TrainState(nnx.state(network, nnx.Param), {})
-    with TrainingCheckpoints(tmp_path / "run", network, {"run": 3}) as checkpoints:
-        checkpoints.save(1, state)
+    TrainingCheckpoints(tmp_path / "run", network, {"run": 3}).save(1, state, [])
     assert_same(load_network(tmp_path / "run" / "1"), network)
     assert read_metadata(tmp_path / "run" / "1")["training"] == {"run": 3}
 

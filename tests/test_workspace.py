@@ -16,8 +16,6 @@ from gnnjax.paper.validity import RISK_WEIGHT, ValidityHead, cost_through, edge_
 from gnnjax.roadmap.graph import connect
 from gnnjax.scene.scene import make_scene
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def random_scene(rng, num=4):
     quats = rng.normal(size=(num, 4))

@@ -23,9 +23,9 @@ from gnnjax.collision.certify import certify_path
 from gnnjax.devices import cache_compilations, run_where_called
 from gnnjax.errors import InputError
 from gnnjax.planning.options import PlannerOptions, check_options
-from gnnjax.planning.query import Plan
+from gnnjax.planning.query import Plan, base_clear
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import is_axis_aligned
+from gnnjax.scene.scene import Scene, is_axis_aligned
 
 _CLASSES = {
     "ompl:rrt_connect": "RRTConnect",
@@ -66,13 +66,10 @@ class ClassicalPlanner:
         run_where_called()
         self.robot, self.options = robot, options
 
-    def warm_up(self, problems: Problem) -> None:
-        """Compiles the checks."""
-        self._make_checks(problems)
-
-    def _make_checks(self, problems: Problem) -> Callable:
-        boxes = problems.scene.mask.shape[-1]
-        return self._checks_maker(is_axis_aligned(problems.scene), boxes)
+    def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
+        """Compiles the checks; problems are planned one after the other, whatever `batch_size`."""
+        base_clear(self.robot, scene)
+        self._checks_maker(is_axis_aligned(scene), scene.mask.shape[-1])
 
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
         """Plans P problems one after the other.
@@ -85,7 +82,8 @@ class ClassicalPlanner:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of OMPL's random numbers; the same for each problem.
         """
-        make = self._make_checks(problems)
+        boxes = problems.scene.mask.shape[-1]
+        make = self._checks_maker(is_axis_aligned(problems.scene), boxes)
         each = (jax.tree.map(lambda x, i=i: x[i], problems) for i in range(len(problems.start)))
         return [self._plan(problem, make, seed) for problem in each]
 

@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -26,7 +27,7 @@ from gnnjax.roadmap.graph import GOAL, Roadmap
 from gnnjax.roadmap.sampled import SampledRoadmap
 from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, Found, Knowledge, nothing_known
-from gnnjax.search.shorten import NUM_POINTS
+from gnnjax.search.shorten import PATH_POINTS
 
 
 class Compiled(NamedTuple):
@@ -165,13 +166,29 @@ class Batch:
         return self._plans()
 
     def warm_up(self) -> None:
-        """Compiles all that planning may need, and plans nothing."""
+        """Compiles all that planning may need, and plans nothing.
+
+        The searches of the first and of the later roadmaps, and the shortening, each hold the
+        collision kernel twice, for nodes and for edges, and a guide's prices; unrolled, these are
+        nine tenths of what XLA compiles. So they are compiled side by side.
+        """
         nobody = self.active = np.zeros(len(self.active), bool)
         kinds = 1 if self.strategy.later is self.strategy.first else 2
-        for number in range(min(kinds, self.options.max_roadmaps)):
-            found = self._search(self._begin(number), nobody, 1, self.strategy.give_up)
-            if self.strategy.shorten:
-                self._shorten_once(found, np.zeros(_path_status(len(nobody)), np.int8), nobody)
+
+        def search(number: int) -> None:
+            self._search(self._begin(number), nobody, 1, self.strategy.give_up)
+
+        def shorten() -> None:
+            num, num_dof = self.problems.start.shape
+            points = jnp.zeros((num, PATH_POINTS, num_dof))
+            self._shorten_once(points, np.zeros(_path_status(num), np.int8), nobody)
+
+        numbers = range(min(kinds, self.options.max_roadmaps))
+        work = [functools.partial(search, number) for number in numbers]
+        work += [shorten] if self.strategy.shorten else []
+        with ThreadPoolExecutor() as pool:
+            for done in [pool.submit(part) for part in work]:
+                done.result()
 
     def _going_on(self) -> np.ndarray:
         """Which problems are still open and have time left, `[P]`."""
@@ -242,7 +259,7 @@ class Batch:
         status = np.zeros(_path_status(len(rows)), np.int8)
         rows = rows.copy()
         while rows.any():
-            short, known = self._shorten_once(found, status, rows)
+            short, known = self._shorten_once(found.points, status, rows)
             rows &= np.asarray(short.success)
             status = np.array(known)
             for i in np.flatnonzero(rows):
@@ -253,12 +270,10 @@ class Batch:
                     status[i, ends, ends[::-1]] = INVALID
 
     def _shorten_once(
-        self, found: Found, status: np.ndarray, rows: np.ndarray
+        self, points: jax.Array | None, status: np.ndarray, rows: np.ndarray
     ) -> tuple[Found, jax.Array]:
         short, known = jax.block_until_ready(
-            self.compiled.shorten(
-                self.strategy.weights, found.points, self.problems.scene, status, rows
-            )
+            self.compiled.shorten(self.strategy.weights, points, self.problems.scene, status, rows)
         )
         self._count(short, rows)
         return short, known
@@ -323,4 +338,4 @@ class Batch:
 
 def _path_status(num: int) -> tuple[int, int, int]:
     """Shape of what is known of the path roadmaps of P problems."""
-    return num, NUM_POINTS, NUM_POINTS
+    return num, PATH_POINTS, PATH_POINTS

@@ -18,7 +18,7 @@ from gnnjax.guide.guide import Guide
 from gnnjax.planning import strategy as strategies
 from gnnjax.planning.engine import Batch, Compiled, compile_strategy
 from gnnjax.planning.options import PlannerOptions, check_options, make_options
-from gnnjax.planning.query import Plan, QueryPlanner, check_query
+from gnnjax.planning.query import Plan, QueryPlanner, base_clear, check_query
 from gnnjax.planning.strategy import Strategy
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import Roadmap
@@ -118,6 +118,7 @@ class Planner:
         cache_compilations()
         self.robot, self.options = robot, options
         self.strategy = strategy
+        self._warm: set[tuple[int, int, bool]] = set()
         self.use_weights(strategy.weights)
 
     @property
@@ -138,6 +139,7 @@ class Planner:
         Raises:
             InputError: start or goal is no valid configuration, or a box stands in the base.
         """
+        self.warm_up(scene)
         begin = time.perf_counter()
         start, goal = check_query(self.robot, scene, start, goal)
         problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
@@ -154,15 +156,36 @@ class Planner:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of the roadmaps; the same for each problem.
         """
-        return self._batch(problems, check_seed(seed)).run()
+        seed = check_seed(seed)
+        scene = jax.tree.map(lambda x: x[0], problems.scene)
+        # One rotated box in the batch, and all are taken for rotated.
+        aligned = is_axis_aligned(problems.scene)
+        self._warm_up(scene, len(problems.start), aligned)
+        return self._batch(problems, seed).run()
 
-    def warm_up(self, problems: Problem) -> None:
-        """Compiles all that planning P problems of these shapes may need, and plans nothing.
+    def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
+        """Compiles all that planning in scenes like this may need, unless that was done before.
 
-        Without it, a second set of functions is compiled for the first problem whose first roadmap
-        has no likely path.
+        Planning does it by itself. Its times never contain compilation, and nothing is compiled
+        in the middle of a query.
+
+        Args:
+            scene: whose padded number of boxes, and whether one is rotated, are what counts.
+            batch_size: problems at once.
         """
-        self._batch(problems, 0).warm_up()
+        self._warm_up(scene, batch_size, is_axis_aligned(scene))
+
+    def _warm_up(self, scene: Scene, batch_size: int, axis_aligned: bool) -> None:
+        key = batch_size, len(scene.mask), axis_aligned
+        if key in self._warm:
+            return
+        base_clear(self.robot, scene)
+        ends = np.tile(self.robot.home, (batch_size, 1))
+        scenes = jax.tree.map(lambda x: np.broadcast_to(x, (batch_size, *np.shape(x))), scene)
+        compiled = self._compiled(axis_aligned)
+        problems = Problem(ends, ends, scenes)
+        Batch(self.robot, self.strategy, self.options, compiled, problems, 0).warm_up()
+        self._warm.add(key)
 
     def _batch(self, problems: Problem, seed: int) -> Batch:
         compiled = self._compiled(is_axis_aligned(problems.scene))

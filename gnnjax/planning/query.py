@@ -48,8 +48,8 @@ class QueryPlanner(Protocol):
         """Of the roadmaps, configuration units; None for a planner without."""
         ...
 
-    def warm_up(self, problems: Problem) -> None:
-        """Compiles what planning P problems of these shapes may need."""
+    def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
+        """Compiles what planning in scenes like this may need."""
 
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
         """Plans P problems that `check_query` accepts."""
@@ -66,7 +66,7 @@ def check_query(
             base.
     """
     check_scene(scene)
-    clear = np.asarray(_base_clear(robot)(scene))
+    clear = base_clear(robot, scene)
     if not clear.all():
         raise InputError(
             f"box {int(np.argmin(clear))} of the scene touches the base of {robot.name}; "
@@ -125,6 +125,11 @@ def make_plan(path: np.ndarray | None, reason: str, num_dof: int, **costs: Any) 
         configuration_checks=costs["sampling_checks"] + costs["search_checks"],
         **costs,
     )
+
+
+def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
+    """Tells for every box of a scene whether the arm's base is clear of it, `[M]`."""
+    return np.asarray(_base_clear(robot)(scene))
 
 
 @functools.cache

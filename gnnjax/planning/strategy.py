@@ -27,7 +27,7 @@ from gnnjax.search.greedy import Scorer, distance_scorer, greedy_search, oracle_
 from gnnjax.search.guided import search_guided, shorten_guided
 from gnnjax.search.knowledge import INVALID, VALID, Found, Knowledge, SearchResult, found_by
 from gnnjax.search.lazy import lazy_search
-from gnnjax.search.shorten import NUM_POINTS
+from gnnjax.search.shorten import PATH_POINTS
 
 # nats; a roadmap whose best path is less likely to be free than e^-this waits until all others
 # were tried.
@@ -80,8 +80,8 @@ def guided(robot: Robot, guide: Guide, options: PlannerOptions) -> Strategy:
     roadmaps has one.
     """
     num_nodes = options.num_nodes
-    if num_nodes < NUM_POINTS:
-        raise InputError(f"num_nodes is {num_nodes}; planner 'guided' needs at least {NUM_POINTS}")
+    if num_nodes < PATH_POINTS:
+        raise InputError(f"num_nodes is {num_nodes}; planner 'guided' needs at least {PATH_POINTS}")
     wide = int(np.clip(num_nodes, *_WIDE_NODES))
     radius, wide_radius = default_radius(robot, num_nodes), default_radius(robot, wide)
     limits = robot.joint_lower, robot.joint_upper

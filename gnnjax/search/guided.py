@@ -16,7 +16,7 @@ from gnnjax.roadmap.graph import GOAL, Roadmap
 from gnnjax.roadmap.paths import for_each_edge
 from gnnjax.search.knowledge import Found, Knowledge, found_by
 from gnnjax.search.lazy import lazy_search
-from gnnjax.search.shorten import NUM_POINTS, search_shortened, shortened, spread_evenly
+from gnnjax.search.shorten import PATH_POINTS, search_shortened, shortened, spread_evenly
 
 # Most pieces that a motion is looked at in; the longest edge is that from start to goal.
 _EDGE_PIECES, _SHORTCUT_PIECES, _ALL_PIECES = 16, 12, 8
@@ -68,7 +68,7 @@ def search_guided(
         max_price=RISK_WEIGHT * max_price,
     )
     assert found.node_status is not None
-    points = spread_evenly(found.path, roadmap.nodes, NUM_POINTS)
+    points = spread_evenly(found.path, roadmap.nodes, PATH_POINTS)
     return (
         found_by(found, roadmap)._replace(points=points),
         Knowledge(found.edge_status, found.node_status),

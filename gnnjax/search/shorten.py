@@ -18,7 +18,7 @@ from gnnjax.roadmap.paths import cost_to_go, follow, next_slots
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search
 
-NUM_POINTS = 20  # along a path
+PATH_POINTS = 20  # along a path
 _ROUNDS = 2  # of shortening; the third gains nothing (docs/experiments.md)
 _MOST_CHECKS = 8  # edges; what needs more is hardly ever free
 
