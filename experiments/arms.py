@@ -14,23 +14,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
 from experiments import training
 from experiments.cases import classical_case, own_case
-from experiments.measure import ExperimentConfig, measure, problem_set, run_seed, save_results
-from experiments.style import BAND, draw_bars
-from gnnjax.errors import run_command
+from experiments.measure import ExperimentConfig, measure, measure_problems, problem_set
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Row
+from experiments.statistics import ratio_of_means
+from experiments.style import draw_bars, label
+from experiments.tables import DETAIL, both, interval, markdown, measured_on
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.files import atomic_write
 from gnnjax.train_motion import TrainMotionConfig
 
-CLAIM = "One motion network serves several arms as well as one of their own."
 PLANNERS = ("guided", "guided_own", "guided_other", "lazysp", "ompl:rrt_connect")
 COMPARED = ("edge_checks", "configuration_checks")
-_RESAMPLES = 2000
+_COLUMNS = ("solved, %", "edge checks", "configuration checks", "cost")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,39 +50,27 @@ class ArmsConfig(ExperimentConfig):
     """Where the networks go, each in a folder motion_ARM."""
 
 
-def run(config: ArmsConfig) -> None:
-    """Trains and measures what is missing, and draws the figure."""
-    if config.robot:
-        config = dataclasses.replace(config, arms=(config.robot,))
-    if config.quick:
-        config = dataclasses.replace(
-            config,
-            arms=config.arms[:1],
-            other=config.arms[0],
-            num_nodes=30,
-            num_problems=3,
-            seeds=config.seeds[:1],
-            steps=2,
-        )
-    rows = save_results(config, "arms", CLAIM, _rows(config))
-    draw(rows, config.out / "arms.png")
+def measurement(config: ArmsConfig) -> Measurement:
+    """Rows of planners on each arm, and their means over those with the arm's own weights."""
+    return Measurement(_rows(config))
 
 
-def _rows(config: ArmsConfig) -> Iterator[dict[str, Any]]:
-    for arm in config.arms:
+def _rows(config: ArmsConfig) -> Iterator[Row]:
+    for arm in (config.robot,) if config.robot else config.arms:
         named = cases(config, arm)
-        own = _problems(config, named["guided_own"])
+        own = measure_problems(config, named["guided_own"])
         for planner, case in named.items():
             row = {"arm": Path(arm).stem, "planner": planner}
             row["num_nodes"] = None if planner.startswith("ompl:") else config.num_nodes
-            found = _problems(config, case)
+            found = measure_problems(config, case)
             ratios = {name: ratio_of_means(found, own, name) for name in COMPARED}
-            yield row | measure(case, config.seeds, config.runs) | {"to_own": ratios}
+            yield row | measure(config, case) | {"to_own": ratios}
 
 
 def cases(config: ArmsConfig, arm: str) -> dict[str, EvaluateConfig]:
     """The planners by name; their networks are trained if they are missing."""
     num = config.num_problems
+    other = arm if config.quick else config.other  # one training is enough for a look
     problems = problem_set(config, arm, num_problems=num)
 
     def own(planner: str, **changes: Any) -> EvaluateConfig:
@@ -93,7 +80,7 @@ def cases(config: ArmsConfig, arm: str) -> dict[str, EvaluateConfig]:
     return {
         "guided": own("guided"),
         "guided_own": own("guided", weights=training.trained(train_config(config, arm))),
-        "guided_other": own("guided", weights=training.trained(train_config(config, config.other))),
+        "guided_other": own("guided", weights=training.trained(train_config(config, other))),
         "lazysp": own("lazysp"),
         "ompl:rrt_connect": classical_case(problems, arm, "ompl:rrt_connect", num),
     }
@@ -107,32 +94,6 @@ def train_config(config: ArmsConfig, arm: str) -> TrainMotionConfig:
     return TrainMotionConfig(robots=(arm,), out=out, steps=config.steps, **small)
 
 
-def _problems(config: ArmsConfig, case: EvaluateConfig) -> list[list[dict]]:
-    return [run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
-
-
-def ratio_of_means(
-    ours: list[list[dict]], theirs: list[list[dict]], quantity: str
-) -> dict[str, float] | None:
-    """Mean of a quantity over the mean of another planner's, on the same valid problems, with its
-    95 % bootstrap interval over problems."""
-    valid = np.array([row["valid"] for row in ours[0]])
-    sums = [
-        np.array([[row[quantity] for row in seed] for seed in rows], float)[:, valid].sum(axis=0)
-        for rows in (ours, theirs)
-    ]
-    if not valid.any() or not sums[1].any():
-        return None
-    num = len(sums[0])
-    chosen = np.random.default_rng(0).integers(num, size=(_RESAMPLES, num))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        resampled = sums[0][chosen].sum(axis=1) / sums[1][chosen].sum(axis=1)
-    resampled = resampled[np.isfinite(resampled)]
-    low, high = np.quantile(resampled, [0.025, 0.975])
-    values = sums[0].sum() / sums[1].sum(), low, high
-    return {name: float(value) for name, value in zip(BAND, values, strict=True)}
-
-
 PANELS = (
     ("edge_checks", "edge checks", 1.0),
     ("configuration_checks", "configuration checks", 1.0),
@@ -140,10 +101,11 @@ PANELS = (
 )
 
 
-def draw(rows: list[dict[str, Any]], out: Path) -> None:
+def draw(results: Row) -> Figure:
     """Draws bars with intervals: hard problems, a group an arm."""
+    rows = results["rows"]
     arms = list(dict.fromkeys(row["arm"] for row in rows))
-    figure = Figure(figsize=(13, 3.8), layout="constrained")
+    figure = Figure(figsize=(13, 3.8), dpi=110, layout="constrained")
     for axes, (name, title, scale) in zip(figure.subplots(1, 3), PANELS, strict=True):
         found = {(row["planner"], row["arm"]): row["summary"]["hard"][name] for row in rows}
         draw_bars(axes, {p: [found[p, arm] for arm in arms] for p in PLANNERS}, arms, scale)
@@ -153,8 +115,54 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5)
     figure.suptitle("Hard problems: means with 95 % intervals")
-    atomic_write(out, lambda file: figure.savefig(file, dpi=110))
+    return figure
 
+
+def table(results: Row) -> str:
+    """The default planner on each arm, with weights of different arms."""
+    columns = [column for column in DETAIL if column[0] in _COLUMNS]
+    lines = []
+    for row in results["rows"]:
+        ratios = [interval(row["to_own"][name], ".2f") for name in COMPARED]
+        lines.append(
+            [row["arm"], label(row["planner"])]
+            + [both(row, write) for _, write in columns]
+            + (ratios if row["planner"].startswith("guided") else ["-"] * len(ratios))
+        )
+    head = ["arm", "planner", *[title for title, _ in columns]]
+    head += [f"{name.replace('_', ' ')} over those with its own weights" for name in COMPARED]
+    note = measured_on(results, results["rows"][0]) + "\n"
+    return note + "\n" + markdown(head, lines)
+
+
+def verdict(results: Row) -> str:
+    """Whether the shipped weights solve as much as an arm's own, within the interval, and need no
+    more checks, or so few more that the interval holds none."""
+    rows = {(row["arm"], row["planner"]): row for row in results["rows"]}
+    findings = []
+    for arm in dict.fromkeys(arm for arm, _ in rows):
+        ours, own = rows[arm, "guided"], rows[arm, "guided_own"]
+        solved, theirs = (row["summary"]["all"]["success"] for row in (ours, own))
+        shares = f"{100 * solved['mean']:.1f} % solved, {100 * theirs['mean']:.1f} % with its own"
+        findings.append(Finding(solved["high"] >= theirs["mean"], f"{arm}: {shares}"))
+        for name, ratio in ours["to_own"].items():
+            if ratio is not None:
+                text = f"{arm}: {interval(ratio, '.2f')} times the {name.replace('_', ' ')}"
+                findings.append(Finding(ratio["low"] <= 1, text))
+    return judge(*findings)
+
+
+EXPERIMENT = Experiment(
+    name="arms",
+    title="One network for all arms",
+    claim="One motion network serves several arms as well as one of their own.",
+    config=ArmsConfig,
+    quick={"num_nodes": 30, "num_problems": 3, "steps": 2},
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(ArmsConfig)))
+    main(EXPERIMENT)

@@ -18,40 +18,31 @@ can reach half of it.
 
 import dataclasses
 import json
-import math
 import os
-import re
 import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import tyro
 
+from experiments.engine import Engine, empty_engine
+from experiments.operations import operations
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write
-from gnnjax.scene.mujoco_world import build_world, place_boxes
 from gnnjax.scene.scene import Scene, sample_scene
 
 MARGIN = 1e-3  # m; distances up to this are known where verdicts are compared
 UNSURE = 1e-4  # m; closer contacts may be judged either way in float32
 YARDSTICK = 1024  # rows of the square matrices of the yardstick
-
-# HLO operations on floats that are counted, of those that occur in the kernels.
-_COUNTED = set(
-    "abs add and clamp compare cosine divide maximum minimum multiply negate or select sign sine "
-    "sqrt subtract".split()
-)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,87 +75,6 @@ class BenchmarkConfig:
 
     json: Path | None = None
     """Where the results go."""
-
-
-class Engine:
-    """MuJoCo's C engine on one scene."""
-
-    def __init__(self, robot: Robot, scene: Scene, margin: float = 0.0):
-        self.model = build_world(robot, len(scene.mask))
-        self.model.geom_margin[:] = margin
-        self.model.body_margin[:] = margin
-        self.data = mujoco.MjData(self.model)
-        place_boxes(self.model, self.data, scene)
-
-    def valid(self, q: np.ndarray) -> np.ndarray:
-        """Whether no contact exists, of each configuration [N, D]; without a margin."""
-        model, data = self.model, self.data
-        qpos, num_contacts = data.qpos, np.empty(len(q), int)
-        kinematics, collision = mujoco.mj_kinematics, mujoco.mj_collision
-        for i, row in enumerate(q):
-            qpos[:] = row
-            kinematics(model, data)
-            collision(model, data)
-            num_contacts[i] = data.ncon
-        return num_contacts == 0
-
-    def gaps(self, q: np.ndarray) -> np.ndarray:
-        """Least distance of contacts [N], m, infinite beyond the margin."""
-        found = np.full(len(q), np.inf)
-        for i, row in enumerate(q):
-            self.valid(row[None])
-            found[i] = min(self.data.contact.dist[: self.data.ncon], default=np.inf)
-        return found
-
-
-def empty_engine(num_dof: int) -> Engine:
-    """An engine with joints but nothing to collide: its loop costs what Python costs."""
-    engine = Engine.__new__(Engine)
-    spec = mujoco.MjSpec()
-    body = spec.worldbody.add_body(mass=1, inertia=[1, 1, 1])
-    for _ in range(min(num_dof, 3)):
-        body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE)
-    engine.model = spec.compile()
-    engine.data = mujoco.MjData(engine.model)
-    return engine
-
-
-def operations(program: str, batch: int, boxes: int) -> Counter:
-    """Operations by kind that a compiled collision program does for a configuration.
-
-    Args:
-        program: the optimized HLO as text.
-        batch: its configurations.
-        boxes: its boxes; the loop over them slices out so many a turn as its HLO says.
-    """
-    # A computation is a line `%name (parameters) -> type {`, instructions, and a brace.
-    bodies = dict(re.findall(r"^(?:ENTRY )?%?([\w.-]+) [^\n]*\{\n(.*?)^\}", program, re.M | re.S))
-    entry = re.search(r"^ENTRY %?([\w.-]+)", program, re.M)
-    assert entry, "no entry computation in the HLO"
-
-    def slices(name: str) -> list[int]:
-        sizes = re.findall(r"dynamic_slice_sizes=\{(\d+)", bodies[name])
-        called = re.findall(r"calls=%?([\w.-]+)", bodies[name])
-        return [int(size) for size in sizes] + [n for inner in called for n in slices(inner)]
-
-    def count(name: str) -> Counter:
-        total = Counter()
-        for line in bodies[name].splitlines():
-            for inner in re.findall(r"(?:calls|to_apply)=%?([\w.-]+)", line):
-                if " fusion(" in line or " call(" in line:
-                    total.update(count(inner))
-            for inner in re.findall(r"body=%?([\w.-]+)", line):
-                turns = math.ceil(boxes / max(slices(inner), default=boxes))
-                for kind, number in count(inner).items():
-                    total[kind] += turns * number
-            found = re.search(r" = (?:f32|pred)\[([\d,]+)\]\S* ([a-z-]+)\(", line)
-            if found and found[2] in _COUNTED:
-                elements = math.prod(int(n) for n in found[1].split(","))
-                if elements % batch == 0:  # the others prepare the boxes
-                    total[found[2]] += elements // batch
-        return total
-
-    return count(entry[1])
 
 
 def take_turns(
@@ -324,7 +234,8 @@ def _in_one_core(config: BenchmarkConfig) -> dict:
     """Measures in a process of its own: how many cores JAX uses is settled when it starts."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "one_core.json"
-        command = [sys.executable, __file__, "--one-core", "--json", str(path)]
+        command = [sys.executable, "-m", "experiments.benchmark_collision"]
+        command += ["--one-core", "--json", str(path)]
         for name, value in dataclasses.asdict(config).items():
             if name not in ("one_core", "json"):
                 command += [f"--{name.replace('_', '-')}", str(value)]

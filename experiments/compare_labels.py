@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from experiments.benchmark_collision import Engine
+from experiments.engine import Engine
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, Checker, make_checker
 from gnnjax.collision.fused import boxes_clear

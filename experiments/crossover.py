@@ -30,19 +30,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
-from experiments.benchmark_collision import Engine
 from experiments.cases import classical_case, own_case
-from experiments.measure import (
-    ExperimentConfig,
-    command,
-    problem_sets,
-    run_seed,
-    save_results,
-    statistics,
-)
+from experiments.engine import Engine
+from experiments.measure import ExperimentConfig, command, measure_problems, problem_sets
 from experiments.price import (
     DEARNESS,
     GUIDES,
@@ -51,20 +43,19 @@ from experiments.price import (
     total_times,
     without_overhead,
 )
+from experiments.published import CHECK_S
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Row, of_set
+from experiments.statistics import column, statistics
 from experiments.style import COLORS, label
+from experiments.tables import listing, markdown, seconds
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.errors import run_command
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.files import atomic_write
 from gnnjax.problems.shards import load_problems
 
-CLAIM = "The dearer a configuration check, the more a learned guide pays."
 OWN = (*GUIDES, "distance", "lazysp", "prm")
 RIVALS = ("ompl:rrt_connect", "ompl:bit_star")
-
-# What others' checks cost, s; ours and MuJoCo's are measured.
-MARKS = {"PyBullet": 80e-6, "a simulator": 1e-2}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,26 +68,17 @@ class CrossoverConfig(ExperimentConfig):
     """Problems of each set."""
 
 
-def run(config: CrossoverConfig) -> None:
-    """Measures what is missing, computes curves and crossovers, and draws the figure."""
-    if config.quick:
-        config = dataclasses.replace(
-            config, num_nodes=(30,), num_problems=3, seeds=config.seeds[:1]
-        )
+def measurement(config: CrossoverConfig) -> Measurement:
+    """Curves of the planners, and where they cross."""
     robot = config.robot or "kuka_iiwa14"
     sets = problem_sets(config, robot, config.num_problems)
     timed = [t for name, path in sets.items() for t in read(config, robot, name, path)]
-    marks = measure_checks(robot, sets["test"]) | MARKS
-    rows = save_results(
-        config,
-        "crossover",
-        CLAIM,
-        map(curves, timed),
-        check_s=DEARNESS.tolist(),
-        marks_s=marks,
-        crossovers=crossovers(timed),
-    )
-    draw([row for row in rows if row["set"] == "test"], marks, config.out / "crossover.png")
+    head = {
+        "check_s": DEARNESS.tolist(),
+        "marks_s": measure_checks(robot, sets["test"]) | CHECK_S,
+        "crossovers": crossovers(timed),
+    }
+    return Measurement(map(curves, timed), head)
 
 
 def read(config: CrossoverConfig, robot: str, name: str, path: Path) -> list[Timed]:
@@ -104,10 +86,10 @@ def read(config: CrossoverConfig, robot: str, name: str, path: Path) -> list[Tim
     num = config.num_problems
 
     def one(case: EvaluateConfig, num_nodes: int | None) -> Timed:
-        rows = [run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
+        rows = measure_problems(config, case)
         key = {"set": name, "planner": case.planner, "num_nodes": num_nodes, "bound": False}
         time, checks, solved = (
-            np.array([[row[quantity] for row in seed] for seed in rows], float)
+            column(rows, lambda row, quantity=quantity: row[quantity])
             for quantity in ("total_time_s", "configuration_checks", "success")
         )
         valid = np.array([row["valid"] for row in rows[0]])
@@ -168,10 +150,11 @@ def measure_checks(robot_name: str, path: Path, batch: int = 4096) -> dict[str, 
     }
 
 
-def draw(rows: list[dict[str, Any]], marks: dict[str, float], out: Path) -> None:
+def draw(results: Row) -> Figure:
     """Draws mean and median over what a check costs: a row of panels a roadmap size."""
+    rows = of_set(results, "test")
     sizes = sorted({row["num_nodes"] for row in rows if row["num_nodes"]})
-    figure = Figure(figsize=(17, 4.6 * len(sizes) + 0.8), layout="constrained")
+    figure = Figure(figsize=(17, 4.6 * len(sizes) + 0.8), dpi=75, layout="constrained")
     columns = [(s, a) for s in ("all", "hard") for a in ("mean", "median")]
     panels = np.atleast_2d(figure.subplots(len(sizes), 4, sharex=True, sharey=True))
     for num_nodes, line in zip(sizes, panels, strict=True):
@@ -188,7 +171,7 @@ def draw(rows: list[dict[str, Any]], marks: dict[str, float], out: Path) -> None
                 if average == "mean":
                     band = times["low"], times["high"]
                     axes.fill_between(DEARNESS, *band, color=COLORS[planner], alpha=0.12, lw=0)
-            for name, at in marks.items():
+            for name, at in results["marks_s"].items():
                 axes.axvline(at, color="0.75", lw=0.8, zorder=0)
                 axes.annotate(
                     name, (at, 0.02), xycoords=("data", "axes fraction"), rotation=90, fontsize=7
@@ -200,8 +183,77 @@ def draw(rows: list[dict[str, Any]], marks: dict[str, float], out: Path) -> None
     for axes in panels[:, 0]:
         axes.set_ylabel("total time [s]")
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=9)
-    atomic_write(out, lambda file: figure.savefig(file, dpi=75))
+    return figure
 
+
+def table(results: Row) -> str:
+    """From which price of a configuration check on a guide is faster, hard problems."""
+    there = {found["guide"] for found in results["crossovers"]}
+    guides = [guide for guide in GUIDES if guide in there]
+    columns = [(guide, average) for guide in guides for average in ("mean", "median")]
+    lines: dict[tuple, dict[tuple, str]] = {}
+    for found in _hard(results):
+        rival = label(found["rival"]) + (", checks alone" if found["bound"] else "")
+        line = lines.setdefault((str(found["num_nodes"]), rival), {})
+        line[found["guide"], found["average"]] = seconds(found["from_s"])
+    head = ["N", "against", *[f"{guide}, {average}" for guide, average in columns]]
+    note = "From which price of a configuration check on a guide is faster, hard test problems.\n"
+    return (
+        note
+        + "\n"
+        + markdown(
+            head, [[*key, *[line[column] for column in columns]] for key, line in lines.items()]
+        )
+    )
+
+
+def _hard(results: Row) -> list[Row]:
+    """The crossovers of guides with planners that have none, on hard test problems."""
+    return [
+        found
+        for found in results["crossovers"]
+        if (found["set"], found["stratum"]) == ("test", "hard") and found["rival"] not in GUIDES
+    ]
+
+
+def verdict(results: Row) -> str:
+    """Whether the default planner is faster than each other from some price on."""
+
+    def of(guide: str, average: str) -> list[Row]:
+        return [c for c in _hard(results) if (c["guide"], c["average"]) == (guide, average)]
+
+    def finding(average: str) -> Finding:
+        prices = [found["from_s"] for found in of("guided", average)]
+        reached = [price for price in prices if price is not None]
+        if len(reached) < len(prices) or not prices:
+            won = f"against {len(reached)} of {len(prices)} only"
+        else:
+            won = f"against all, at the latest from {seconds(max(reached))} a check on"
+        return Finding(0 < len(reached) == len(prices), f"guided is faster in the {average} {won}")
+
+    others = []
+    for guide in ("gnn", "gnn_lazy"):
+        found = [*of(guide, "mean"), *of(guide, "median")]
+        never = dict.fromkeys(label(c["rival"]) for c in found if c["from_s"] is None)
+        others += [f"for {guide} against {listing([*never])}"] if never else []
+    beside = []
+    if others:
+        where = "At some roadmap size there is no such price, in the mean or in the median,"
+        beside = [f"{where} {listing(others)}."]
+    return judge(finding("mean"), finding("median"), beside=beside)
+
+
+EXPERIMENT = Experiment(
+    name="crossover",
+    title="When a guide pays",
+    claim="The dearer a configuration check, the more a learned guide pays.",
+    config=CrossoverConfig,
+    quick={"num_nodes": (30,), "num_problems": 3},
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(CrossoverConfig)))
+    main(EXPERIMENT)

@@ -16,37 +16,29 @@ runs as Figure 5:
 
 import dataclasses
 import functools
+import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
 from experiments.cases import own_case
-from experiments.measure import (
-    ExperimentConfig,
-    command,
-    problem_set,
-    run_seed,
-    save_results,
-    statistics,
-)
+from experiments.measure import ExperimentConfig, command, measure_problems, problem_set
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Row
+from experiments.statistics import Rows, column, solved_first, statistics
 from experiments.style import COLORS, label
+from experiments.tables import interval, markdown, span
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.errors import run_command
-from gnnjax.evaluate import EvaluateConfig
-from gnnjax.files import atomic_write
 from gnnjax.paper.occupancy import occupancy_grid
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import Scene
 from gnnjax.training.weights import load_network
 
-CLAIM = "What fails: dead ends, long paths, swinging back and forth, and a grid that is too coarse."
 PLANNERS = ("guided", "guided_sampled", "gnn_paper", "gnn", "gnn_lazy", "distance")
 REVERSAL = -1e-6  # cosine of the angle between two motions, below which the path turns back
 
@@ -61,62 +53,42 @@ class FailuresConfig(ExperimentConfig):
     """Problems of the set."""
 
 
-def run(config: FailuresConfig) -> None:
-    """Measures what is missing and draws the figure."""
-    if config.quick:
-        config = dataclasses.replace(
-            config, num_nodes=(30,), num_problems=3, seeds=config.seeds[:1]
-        )
+def measurement(config: FailuresConfig) -> Measurement:
+    """Rows of planners by roadmap size, and how often the grid is in the way."""
     robot = config.robot or "kuka_iiwa14"
     path = problem_set(config, robot, num_problems=config.num_problems)
     touches = ends_in_voxels(path, robot, config.num_problems)
     grid = {"problems": len(touches), "start_or_goal_in_a_voxel": float(touches.mean())}
-    rows = save_results(config, "failures", CLAIM, _rows(config, robot, path, touches), grid=grid)
-    draw(rows, config.out / "failures.png")
+    return Measurement(_rows(config, robot, path, touches), {"grid": grid})
 
 
-def _rows(
-    config: FailuresConfig, robot: str, path: Path, touches: np.ndarray
-) -> Iterator[dict[str, Any]]:
+def _rows(config: FailuresConfig, robot: str, path: Path, touches: np.ndarray) -> Iterator[Row]:
     for num_nodes in config.num_nodes:
-
-        def rows_of(case: EvaluateConfig) -> list[list[dict]]:
-            return [run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
-
-        optimal = rows_of(own_case(path, robot, "prm", num_nodes, config.num_problems))
+        best = own_case(path, robot, "prm", num_nodes, config.num_problems)
+        optimal = measure_problems(config, best)
         for planner in PLANNERS:
             case = own_case(path, robot, planner, num_nodes, config.num_problems)
-            measured = failures(rows_of(case), optimal, touches)
+            measured = failures(measure_problems(config, case), optimal, touches)
             key = {"planner": planner, "num_nodes": num_nodes, "command": command(case)}
             yield key | measured
 
 
-def failures(
-    found: list[list[dict]], optimal: list[list[dict]], touches: np.ndarray
-) -> dict[str, Any]:
+def failures(found: Rows, optimal: Rows, touches: np.ndarray) -> Row:
     """Shares and means of the failures, with intervals.
 
     Args:
-        found: rows of the planner, a list a seed.
+        found: rows of the planner.
         optimal: rows of the roadmap's shortest path, on the same roadmaps.
         touches: `[P]`, whether an end of a problem lies in a voxel.
     """
-
-    def table(rows: list[list[dict]], of: Any) -> np.ndarray:
-        return np.array([[of(row) for row in seed] for seed in rows])
-
-    def first(row: dict) -> bool:
-        return row["success"] and row["roadmaps"] == 1
-
-    solved, solvable = table(found, first), table(optimal, first)
-    costs = [table(rows, lambda row: row["cost"] or np.nan) for rows in (found, optimal)]
-    both = solved & solvable
-    turns = table(found, lambda row: reversals(np.array(row["path"])))
-    valid = table(found, lambda row: row["valid"])
+    solved, solvable = (column(rows, solved_first).astype(bool) for rows in (found, optimal))
+    costs = [column(rows, lambda row: row["cost"]) for rows in (found, optimal)]
+    turns = column(found, lambda row: reversals(np.array(row["path"])))
+    valid = column(found, lambda row: row["valid"]).astype(bool)
     held = np.where(touches, valid, False)
     return {
         "dead_ends": statistics((~solved).astype(float), solvable),
-        "cost_ratio": statistics(costs[0] / costs[1], both),
+        "cost_ratio": statistics(costs[0] / costs[1], solved & solvable),
         "reversals": statistics(turns, solved),
         "swinging": statistics((turns > 0).astype(float), solved),
         "failure_end_in_voxel": statistics((~solved).astype(float), held),
@@ -169,16 +141,17 @@ PANELS = (
 )
 
 
-def draw(rows: list[dict[str, Any]], out: Path) -> None:
+def draw(results: Row) -> Figure:
     """Draws bars with intervals, a group a roadmap size."""
-    figure = Figure(figsize=(12, 3.6), layout="constrained")
+    rows = results["rows"]
+    figure = Figure(figsize=(12, 3.6), dpi=110, layout="constrained")
     sizes, width = sorted({row["num_nodes"] for row in rows}), 0.8 / len(PLANNERS)
-    for column, (name, title, scale) in enumerate(PANELS, start=1):
-        axes = figure.add_subplot(1, 3, column)
+    for place, (name, title, scale) in enumerate(PANELS, start=1):
+        axes = figure.add_subplot(1, 3, place)
         for offset, planner in enumerate(PLANNERS):
             chosen = [row for row in rows if row["planner"] == planner and row[name]]
-            place = width * (offset - (len(PLANNERS) - 1) / 2)
-            at = [sizes.index(row["num_nodes"]) + place for row in chosen]
+            shift = width * (offset - (len(PLANNERS) - 1) / 2)
+            at = [sizes.index(row["num_nodes"]) + shift for row in chosen]
             mean = np.array([scale * row[name]["mean"] for row in chosen])
             ends = [[scale * row[name][end] for row in chosen] for end in ("low", "high")]
             error = np.maximum([mean - ends[0], ends[1] - mean], 0)
@@ -192,8 +165,91 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
             axes.set_ylim(bottom=0.9)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    atomic_write(out, lambda file: figure.savefig(file, dpi=110))
+    return figure
 
+
+def table(results: Row) -> str:
+    """Dead ends, cost and swinging of each planner."""
+    columns = (
+        ("dead ends, %", "dead_ends", ".1f", 100.0),
+        ("cost over the shortest path's", "cost_ratio", ".3f", 1.0),
+        ("paths that turn back, %", "swinging", ".1f", 100.0),
+        ("turns of more than 90 degrees a path", "reversals", ".2f", 1.0),
+        ("failed where an end lies in a voxel, %", "failure_end_in_voxel", ".1f", 100.0),
+        ("failed elsewhere, %", "failure_ends_clear_of_voxels", ".1f", 100.0),
+    )
+    lines = [
+        [str(row["num_nodes"]), label(row["planner"])]
+        + [interval(row[name], form, scale) for _, name, form, scale in columns]
+        for row in results["rows"]
+    ]
+    share = 100 * results["grid"]["start_or_goal_in_a_voxel"]
+    note = (
+        "Start or goal, free in the scene, collides with the voxels of the occupancy grid in "
+        f"{share:.0f} % of the problems.\n"
+    )
+    return markdown(["N", "planner", *[title for title, *_ in columns]], lines) + "\n" + note
+
+
+def verdict(results: Row) -> str:
+    """Whether the paper's planner fails in each of these ways at every roadmap size. The grid is
+    to blame only where it fails more often than a walk that sees no grid."""
+
+    def each(planner: str, name: str, key: str = "mean") -> list[float]:
+        rows = [row for row in results["rows"] if row["planner"] == planner]
+        return [math.nan if row[name] is None else row[name][key] for row in rows]
+
+    def percent(planner: str, name: str) -> str:
+        return span(each(planner, name), ".1f", 100) + " %"
+
+    paper, walk, lazy = "gnn_paper", "distance", "gnn_lazy"
+    inside, clear = "failure_end_in_voxel", "failure_ends_clear_of_voxels"
+    blamed = [
+        least > max(elsewhere, without)
+        for least, elsewhere, without in zip(
+            each(paper, inside, "low"), each(paper, clear), each(walk, inside), strict=True
+        )
+    ]
+    cost = span(each(paper, "cost_ratio"), ".2f")
+    grid = (
+        f"where an end lies in a voxel {percent(paper, inside)} fail, elsewhere "
+        f"{percent(paper, clear)}, but with the distance to the goal, which sees no grid, "
+        f"{percent(walk, inside)} and {percent(walk, clear)}"
+    )
+    return judge(
+        Finding(
+            min(each(paper, "dead_ends", "low")) > 0,
+            f"dead ends in {percent(paper, 'dead_ends')} of the roadmaps that hold a path",
+        ),
+        Finding(min(each(paper, "cost_ratio", "low")) > 1, f"{cost} times the shortest path"),
+        Finding(
+            min(each(paper, "swinging", "low")) > max(each(lazy, "swinging", "high")),
+            f"{percent(paper, 'swinging')} of the paths turn back ({label(lazy)}: "
+            f"{percent(lazy, 'swinging')})",
+        ),
+        Finding(all(blamed), grid),
+        beside=[
+            f"{name}: dead ends {percent(planner, 'dead_ends')}, "
+            f"{span(each(planner, 'cost_ratio'), '.2f')} times the shortest path, "
+            f"{percent(planner, 'swinging')} turn back."
+            for planner, name in ((walk, "Without any network"), (lazy, "With a lazy search"))
+        ],
+    )
+
+
+EXPERIMENT = Experiment(
+    name="failures",
+    title="How the paper's planner fails",
+    claim=(
+        "What fails: dead ends, long paths, swinging back and forth, and a grid that is too coarse."
+    ),
+    config=FailuresConfig,
+    quick={"num_nodes": (30,), "num_problems": 3},
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(FailuresConfig)))
+    main(EXPERIMENT)

@@ -14,36 +14,41 @@ see `bounds.py`.
 
 import dataclasses
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
-from experiments.bounds import first_roadmap, per_verification
+from experiments.bounds import (
+    BOUNDED,
+    BOUNDS_NOTE,
+    VERIFICATION_NOTE,
+    bounds_table,
+    first_roadmap,
+    per_verification,
+    verification_table,
+)
 from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, own_case
-from experiments.measure import ExperimentConfig, measure, problem_sets, run_seed, save_results
-from experiments.style import BAND, COLORS, label
-from gnnjax.errors import run_command
+from experiments.measure import ExperimentConfig, measure, measure_problems, problem_sets
+from experiments.published import FIGURE5
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Measured, Row, of_set
+from experiments.statistics import BAND
+from experiments.style import COLORS, label
+from experiments.tables import (
+    DETAIL,
+    MAIN,
+    SETS,
+    cell,
+    listing,
+    markdown,
+    measured_on,
+    planner_table,
+    span,
+)
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.files import atomic_write
-
-CLAIM = "A learned guide finds paths with fewer collision checks than PRM, RRT* and BIT* in R^7."
 
 PLANNERS = tuple(dict.fromkeys((*GUIDED, *OURS, "gnn_paper")))
-# On the same roadmaps: how many edges they check for each edge of the path.
-BOUNDED = ("guided_sampled", "gnn_lazy", "lazysp", "gnn", "distance", "oracle")
-
-# What the paper states of its Figure 5 in words, over all roadmap sizes.
-PAPER = {
-    "gnn": {"success": 0.98, "cost": 19.452, "total_time_s": 1.63, "planning_time_s": 0.193},
-    "prm": {"success": 0.97, "cost": 13.473, "total_time_s": 20.47, "planning_time_s": 12.02},
-    "ompl:bit_star": {"success": 0.97, "cost": 12.271},
-    "ompl:rrt_star": {"success": 0.98, "cost": 16.010},
-}
-# Edge checks of the paper's planner as shares of those of others.
-PAPER_SHARES = {"prm": 0.0049, "ompl:bit_star": 0.9443, "ompl:rrt_star": 0.0174}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,22 +65,12 @@ class Figure5Config(ExperimentConfig):
     """Roadmap sizes of the default planner with edges tested every 0.02 rad."""
 
 
-def run(config: Figure5Config) -> None:
-    """Measures what is missing and draws the figure."""
-    if config.quick:
-        config = dataclasses.replace(
-            config,
-            num_nodes=(30,),
-            num_problems=3,
-            seeds=config.seeds[:1],
-            guided_num_nodes=(30,),
-            fine_num_nodes=(),
-        )
-    rows = save_results(config, "figure5", CLAIM, _rows(config), paper=PAPER)
-    draw([row for row in rows if row["set"] == "test"], config.out / "figure5.png")
+def measurement(config: Figure5Config) -> Measurement:
+    """Rows of planners on problem sets, by roadmap size."""
+    return Measurement(_rows(config), {"paper": FIGURE5})
 
 
-def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
+def _rows(config: Figure5Config) -> Iterator[Row]:
     robot = config.robot or "kuka_iiwa14"
     num = config.num_problems
     sets = problem_sets(config, robot, num)
@@ -92,7 +87,7 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
                 row |= _measured(config, case)
                 if planner in BOUNDED and varied:
                     compared = (
-                        _problems(config, own_case(path, robot, p, num_nodes, num))
+                        measure_problems(config, own_case(path, robot, p, num_nodes, num))
                         for p in (planner, "guided_sampled", "lazysp", "prm")
                     )
                     row["first_roadmap"] = first_roadmap(*compared)
@@ -104,7 +99,6 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
             case = classical_case(path, robot, planner, num)
             key = {"set": name, "planner": planner, "num_nodes": None}
             yield key | _measured(config, case)
-    # At the resolution of an earlier measurement with PyBullet, to compare.
     for num_nodes in config.fine_num_nodes:
         for name, path in sets.items():
             if name != "public":
@@ -116,13 +110,8 @@ def _rows(config: Figure5Config) -> Iterator[dict[str, Any]]:
 
 def _measured(config: Figure5Config, case: EvaluateConfig) -> dict[str, Any]:
     """What every planner is measured by."""
-    measured = measure(case, config.seeds, config.runs)
-    ratio = per_verification(_problems(config, case), case.resolution)
-    return measured | {"per_verification": ratio}
-
-
-def _problems(config: Figure5Config, case: EvaluateConfig) -> list[list[dict]]:
-    return [run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
+    ratio = per_verification(measure_problems(config, case), case.resolution)
+    return measure(config, case) | {"per_verification": ratio}
 
 
 PANELS = (
@@ -135,9 +124,10 @@ PANELS = (
 )
 
 
-def draw(rows: list[dict[str, Any]], out: Path) -> None:
+def draw(results: Row) -> Figure:
     """Draws means over N with their 95 % intervals; the paper's own numbers are dotted."""
-    figure = Figure(figsize=(13, 7.2), layout="constrained")
+    rows = of_set(results, "test")
+    figure = Figure(figsize=(13, 7.2), dpi=110, layout="constrained")
     for index, (name, title, scale, logarithmic) in enumerate(PANELS, start=1):
         axes = figure.add_subplot(2, 3, index)
         sizes = sorted({row["num_nodes"] for row in rows if row["num_nodes"]})
@@ -154,7 +144,7 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
             style = "--" if planner.startswith("ompl:") else "-"
             axes.plot(at, mean, style, color=COLORS[planner], label=label(planner))
             axes.fill_between(at, low, high, color=COLORS[planner], alpha=0.15, linewidth=0)
-        for planner, values in PAPER.items():
+        for planner, values in results["paper"].items():
             if name in values:
                 axes.axhline(scale * values[name], color=COLORS[planner], linestyle=":", lw=1)
         axes.set(title=title, xlabel="nodes of the roadmap")
@@ -164,8 +154,95 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6)
     figure.suptitle("Means with 95 % intervals; dashed: OMPL; dotted: the paper's own numbers")
-    atomic_write(out, lambda file: figure.savefig(file, dpi=110))
+    return figure
 
+
+def table(results: Row) -> str:
+    """Planners as they are seen, with intervals, and beside the checks of their paths alone."""
+    parts = []
+    for name, title in SETS.items():
+        rows = of_set(results, name)
+        if not rows:
+            continue
+        parts += [f"### {title}\n", measured_on(results, rows[0]) + "\n"]
+        parts += ["#### As planners are seen\n", planner_table(rows, MAIN)]
+        parts += ["#### With intervals\n", planner_table(rows, DETAIL)]
+        parts += ["#### Edge checks per edge of the path\n", BOUNDS_NOTE, bounds_table(rows)]
+        parts += ["#### Configuration checks over those of the path alone\n"]
+        parts += [VERIFICATION_NOTE, verification_table(rows)]
+    fine = resolution_table(of_set(results, "public"))
+    return "\n".join([*parts, *(["### By the resolution of edges\n", fine] if fine else [])])
+
+
+def resolution_table(rows: list[Row]) -> str:
+    """Planners that were measured at two resolutions, one beside the other; empty without any."""
+    lines = []
+    for fine in rows:
+        if not fine["planner"].endswith("@0.02"):
+            continue
+        planner, size = fine["planner"].removesuffix("@0.02"), fine["num_nodes"]
+        usual = [row for row in rows if (row["planner"], row["num_nodes"]) == (planner, size)]
+        for row in (*usual, fine):
+            for stratum in ("all", "hard"):
+                part = row["summary"][stratum]
+                checks = part["configuration_checks"]
+                where = f", N = {size}" if size else ""
+                line = [label(planner) + where, f"{row['settings']['resolution']:g}", stratum]
+                line += [cell(part["success"], ".1f", 100), cell(checks, ".0f", key="median")]
+                line += [cell(checks, ".0f"), cell(part["cost"], ".2f")]
+                lines.append([*line, cell(part["certified"], ".1f", 100)])
+    head = ["planner", "tested every, rad", "problems", "solved, %"]
+    head += ["configuration checks, median", "mean", "cost", "certified, %"]
+    return markdown(head, lines) if lines else ""
+
+
+def verdict(results: Row) -> str:
+    """Whether the default planner needs fewer checks of either kind than each of the others, at
+    every roadmap size, and their intervals are apart."""
+    seven = Measured(of_set(results, "test"))
+
+    def compared(quantity: str, name: str, form: str) -> Finding:
+        lows = {p: min(seven.each(p, quantity, key="low")) for p in FIGURE5 if p != "gnn"}
+        rival = min(lows, key=lambda planner: lows[planner])
+        fewer = max(seven.each("guided", quantity, key="high")) < lows[rival]
+        ours, theirs = (span(seven.each(p, quantity), form) for p in ("guided", rival))
+        others = listing([label(planner) for planner in lows])
+        text = f"{ours} {name} for guided, {theirs} for {label(rival)}, the fewest of {others}"
+        return Finding(fewer, text)
+
+    lazy = span(seven.each("lazysp", "edge_checks"), ".1f")
+    nodes = span(seven.each("gnn", "configuration_checks"), ".0f")
+    medians = [
+        span(seven.each(planner, "configuration_checks", key="median"), ".0f")
+        for planner in ("guided", "ompl:rrt_connect")
+    ]
+    return judge(
+        compared("edge_checks", "edge checks in the mean", ".1f"),
+        compared("configuration_checks", "configuration checks with those of sampling", ".0f"),
+        beside=[
+            f"lazysp, which checks lazily without any network, makes {lazy} edge checks.",
+            f"gnn, which tests all nodes first, tests {nodes} configurations.",
+            f"In the median guided tests {medians[0]}, RRT-Connect {medians[1]}.",
+        ],
+    )
+
+
+EXPERIMENT = Experiment(
+    name="figure5",
+    title="Seven joints, over roadmap sizes",
+    claim="A learned guide finds paths with fewer collision checks than PRM, RRT* and BIT* in R^7.",
+    config=Figure5Config,
+    quick={
+        "num_nodes": (30,),
+        "num_problems": 3,
+        "guided_num_nodes": (30,),
+        "fine_num_nodes": (),
+    },
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(Figure5Config)))
+    main(EXPERIMENT)

@@ -13,26 +13,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import tyro
 from matplotlib.figure import Figure
 
 from experiments.cases import CLASSICAL, OURS, classical_case, own_case
-from experiments.measure import ExperimentConfig, measure, problem_set, save_results
-from experiments.style import COLORS, draw_bars
-from gnnjax.errors import InputError, run_command
+from experiments.measure import ExperimentConfig, measure, problem_set
+from experiments.published import FIGURE7
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Measured, Row
+from experiments.style import COLORS, draw_bars, label
+from experiments.tables import DETAIL, listing, measured_on, planner_table
+from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.files import atomic_write
 from gnnjax.training.weights import find_weights
 
-CLAIM = "A guide trained in R^7 saves collision checks and planning time in R^6."
-
-# What the paper states of its Figure 7 in words: saved by its planner, as a share of the other's.
-PAPER = {
-    "edge_checks": {"than": "prm", "saved": 0.997},
-    "planning_time_s": {"than": "ompl:bit_star", "saved": 0.986},
-}
 GUIDANCE_METHODS = ("gnn", "gnn_lazy")
 TRANSFERRED = Path("kuka_iiwa14")  # weights; by default an arm gets its own
+TRANSFERRED_PLANNERS = (*GUIDANCE_METHODS, "gnn_paper")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,12 +43,9 @@ class Figure7Config(ExperimentConfig):
     """Network trained on the arm itself, a name or a folder; its rows are left out without it."""
 
 
-def run(config: Figure7Config) -> None:
-    """Measures what is missing and draws the figure."""
-    if config.quick:
-        config = dataclasses.replace(config, num_nodes=30, num_problems=3, seeds=config.seeds[:1])
-    rows = save_results(config, "figure7", CLAIM, _rows(config), paper=PAPER)
-    draw(rows, config.out / "figure7.png")
+def measurement(config: Figure7Config) -> Measurement:
+    """Rows of planners, and what they save of the means of those that the paper compares with."""
+    return Measurement(_rows(config), {"paper": FIGURE7})
 
 
 def cases(config: Figure7Config) -> dict[str, EvaluateConfig]:
@@ -74,14 +67,14 @@ def cases(config: Figure7Config) -> dict[str, EvaluateConfig]:
     return named | {planner: classical_case(problems, robot, planner, num) for planner in CLASSICAL}
 
 
-def _rows(config: Figure7Config) -> Iterator[dict[str, Any]]:
+def _rows(config: Figure7Config) -> Iterator[Row]:
     named = cases(config)
     compared = {
-        planner: measure(named[planner], config.seeds, config.runs)["summary"]["all"]
-        for planner in (stated["than"] for stated in PAPER.values())
+        planner: measure(config, named[planner])["summary"]["all"]
+        for planner in (stated["than"] for stated in FIGURE7.values())
     }
     for planner, case in named.items():
-        measured = measure(case, config.seeds, config.runs)
+        measured = measure(config, case)
         size = None if planner in CLASSICAL else config.num_nodes
         key = {"planner": planner, "num_nodes": size}
         yield key | measured | {"saved": saved(measured["summary"]["all"], compared)}
@@ -95,7 +88,7 @@ def saved(summary: dict[str, Any], compared: dict[str, dict[str, Any]]) -> dict[
         compared: summaries of the others, by name.
     """
     shares: dict[str, float | None] = {}
-    for quantity, stated in PAPER.items():
+    for quantity, stated in FIGURE7.items():
         ours, theirs = summary[quantity], compared[stated["than"]][quantity]
         if ours is None or theirs is None or not theirs["mean"]:
             shares[quantity] = None
@@ -112,25 +105,26 @@ PANELS = (
     ("success", "solved [%]", 100.0, False),
     ("certified", "certified [%]", 100.0, False),
 )
-_THAN = {"prm": "PRM", "ompl:bit_star": "BIT*"}
+_NAMES = {"edge_checks": "edge checks", "planning_time_s": "planning time"}
 
 
-def draw(rows: list[dict[str, Any]], out: Path) -> None:
+def draw(results: Row) -> Figure:
     """Draws bars with their 95 % intervals; where the paper's savings would put its planner is
     dotted."""
-    by_name = {row["planner"]: row for row in rows}
+    paper = results["paper"]
+    by_name = {row["planner"]: row for row in results["rows"]}
     planners = [planner for planner in COLORS if planner in by_name]
-    figure = Figure(figsize=(13, 7.2), layout="constrained")
+    figure = Figure(figsize=(13, 7.2), dpi=110, layout="constrained")
     for index, (name, title, scale, logarithmic) in enumerate(PANELS, start=1):
         axes = figure.add_subplot(2, 3, index)
         summaries = {planner: by_name[planner]["summary"]["all"] for planner in planners}
         draw_bars(axes, {p: [summary[name]] for p, summary in summaries.items()}, [""], scale)
-        if name in PAPER:
-            than, share = PAPER[name]["than"], PAPER[name]["saved"]
+        if name in paper:
+            than, share = paper[name]["than"], paper[name]["saved"]
             base, ours = summaries[than][name], by_name["gnn"]["saved"][name]
             if base is not None and ours is not None:
                 axes.axhline(scale * base["mean"] * (1 - share), color="black", ls=":", lw=1.2)
-                title += f"\ngnn: {_compared(ours, _THAN[than])} (paper: {100 * share:.1f} % less)"
+                title += f"\ngnn: {_compared(ours, than)} (paper: {100 * share:.1f} % less)"
         axes.set_title(title)
         if logarithmic:
             axes.set_yscale("log")
@@ -145,12 +139,52 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
     figure.suptitle(
         "Means with 95 % intervals; dotted: what the paper's savings would leave of our baseline"
     )
-    atomic_write(out, lambda file: figure.savefig(file, dpi=110))
+    return figure
 
 
 def _compared(saved: float, than: str) -> str:
-    return f"{100 * saved:.1f} % less than {than}" if saved > 0 else f"{1 - saved:.1f} times {than}"
+    name = {"prm": "PRM"}.get(than, label(than))  # as the paper writes it
+    return f"{100 * saved:.1f} % less than {name}" if saved > 0 else f"{1 - saved:.1f} times {name}"
 
+
+def table(results: Row) -> str:
+    """Planners with intervals."""
+    rows = results["rows"]
+    return "\n".join([measured_on(results, rows[0]) + "\n", planner_table(rows, DETAIL)])
+
+
+def verdict(results: Row) -> str:
+    """Whether every guide saves of the mean of each planner that the paper compares with."""
+    saved = {row["planner"]: row["saved"] for row in results["rows"]}
+
+    def compared(quantity: str, than: str) -> Finding:
+        found = {planner: saved[planner][quantity] for planner in TRANSFERRED_PLANNERS}
+        words = [f"{label(p)} {_compared(share, than)}" for p, share in found.items()]
+        holds = all(share > 0 for share in found.values())
+        return Finding(holds, f"{_NAMES[quantity]} in the mean: {listing(words)}")
+
+    six = Measured(results["rows"])
+    medians = [
+        f"{label(p)} {1e3 * six.mean(p, 'planning_time_s', key='median'):.1f} ms"
+        for p in ("ompl:bit_star", *TRANSFERRED_PLANNERS)
+    ]
+    return judge(
+        *(compared(quantity, stated["than"]) for quantity, stated in results["paper"].items()),
+        beside=[f"In the median, planning takes {listing(medians)}."],
+    )
+
+
+EXPERIMENT = Experiment(
+    name="figure7",
+    title="Six joints",
+    claim="A guide trained in R^7 saves collision checks and planning time in R^6.",
+    config=Figure7Config,
+    quick={"num_nodes": 30, "num_problems": 3},
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(Figure7Config)))
+    main(EXPERIMENT)

@@ -11,13 +11,11 @@ never saw these; the motion network was trained on scenes of these kinds, though
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-import jax
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
 from experiments.cases import classical_case, own_case
@@ -25,23 +23,19 @@ from experiments.measure import (
     ExperimentConfig,
     command,
     measure,
+    measure_problems,
     problem_set,
     problem_sets,
-    run_seed,
-    save_results,
-    summarize_seeds,
 )
-from experiments.style import draw_bars
-from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import path_clearance
-from gnnjax.collision.checker import EDGE_RESOLUTION
-from gnnjax.errors import run_command
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Row, of_set
+from experiments.statistics import summarize_seeds
+from experiments.strata import BOXES, CLEARANCES, LINES, strata
+from experiments.style import draw_bars, label
+from experiments.tables import SETS, cell, markdown, span
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.files import atomic_write
 from gnnjax.problems.families import FAMILIES
-from gnnjax.problems.shards import load_problems
 
-CLAIM = "The harder the problem, the more the guide saves."
 PLANNERS = (
     *("guided", "gnn", "gnn_lazy", "distance", "lazysp", "oracle", "prm"),
     *("ompl:rrt_connect", "ompl:bit_star"),
@@ -50,10 +44,6 @@ FAMILY_PLANNERS = (
     "guided",
     *("gnn", "gnn_lazy", "distance", "lazysp", "ompl:rrt_connect", "ompl:bit_star"),
 )
-
-# Upper ends of the strata: boxes, and clearance in m.
-BOXES = {"2-3 boxes": 3, "4-5 boxes": 5, "6-7 boxes": 7, "8-9 boxes": 9}
-CLEARANCES = {"< 1 cm": 0.01, "1-3 cm": 0.03, "3-6 cm": 0.06, "> 6 cm": np.inf}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,27 +64,12 @@ class HardConfig(ExperimentConfig):
     """Roadmap sizes of the guided planner on the families."""
 
 
-def run(config: HardConfig) -> None:
-    """Measures what is missing and draws the figure."""
-    if config.quick:
-        config = dataclasses.replace(
-            config,
-            num_nodes=30,
-            num_problems=3,
-            seeds=config.seeds[:1],
-            families=config.families[-1:],
-            family_problems=2,
-            # Scenes of their own kind are compiled anew for each planner.
-            family_planners=("guided", "ompl:rrt_connect"),
-            guided_sizes=(30,),
-        )
-    robot = config.robot or "kuka_iiwa14"
-    rows = save_results(config, "hard", CLAIM, _rows(config, robot))
-    drawn = [row for row in rows if row["num_nodes"] in (None, config.num_nodes)]
-    draw(drawn, config.out / "hard.png")
+def measurement(config: HardConfig) -> Measurement:
+    """Rows of planners on strata and families."""
+    return Measurement(_rows(config, config.robot or "kuka_iiwa14"))
 
 
-def _rows(config: HardConfig, robot: str) -> Iterator[dict[str, Any]]:
+def _rows(config: HardConfig, robot: str) -> Iterator[Row]:
     for name, path in problem_sets(config, robot, config.num_problems).items():
         yield from _strata_rows(config, robot, name, path)
     for family in config.families:
@@ -105,13 +80,13 @@ def _rows(config: HardConfig, robot: str) -> Iterator[dict[str, Any]]:
                 sized = dataclasses.replace(config, num_nodes=size)
                 case = _case(sized, path, robot, planner, config.family_problems)
                 key = {"set": family, "stratum": family, "planner": planner}
-                yield key | {"num_nodes": _size(case)} | measure(case, config.seeds, config.runs)
+                yield key | {"num_nodes": _size(case)} | measure(config, case)
 
 
-def _strata_rows(config: HardConfig, robot: str, name: str, path: Path) -> Iterator[dict[str, Any]]:
+def _strata_rows(config: HardConfig, robot: str, name: str, path: Path) -> Iterator[Row]:
     def rows_of(planner: str) -> tuple[EvaluateConfig, list[list[dict]]]:
         case = _case(config, path, robot, planner, config.num_problems)
-        return case, [run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
+        return case, measure_problems(config, case)
 
     chosen = strata(robot, path, rows_of("prm")[1][0])
     for planner in PLANNERS:
@@ -137,54 +112,20 @@ def _size(case: EvaluateConfig) -> int | None:
     return None if case.planner.startswith("ompl:") else case.num_nodes
 
 
-def strata(robot_name: str, path: Path, rows: list[dict]) -> dict[str, np.ndarray]:
-    """Which problems belong to which stratum, `[P]` each.
-
-    Args:
-        robot_name: of the arm, or path of an MJCF.
-        path: of the problem set.
-        rows: results of PRM on its first P problems, for the narrowness of the way. Problems that
-            it does not solve are a stratum of their own.
-    """
-    robot = load_robot(robot_name)
-    problems = load_problems(path, robot).take(slice(len(rows))).problems
-    hard = np.array([row["hard"] for row in rows])
-    boxes = problems.scene.mask.sum(axis=1)
-    clearances = np.full(len(rows), np.nan)
-    for i, row in enumerate(rows):
-        if row["success"]:
-            scene = jax.tree.map(lambda x, i=i: x[i], problems.scene)
-            clearances[i] = path_clearance(robot, scene, np.array(row["path"]), EDGE_RESOLUTION)
-    return {
-        "line free": ~hard,
-        "line blocked": hard,
-        **_between(boxes, BOXES),
-        **_between(clearances, CLEARANCES),
-        "no path in\nPRM's roadmaps": np.isnan(clearances),
-    }
-
-
-def _between(values: np.ndarray, upper: dict[str, float]) -> dict[str, np.ndarray]:
-    """Splits values at upper ends, each of which belongs to its stratum; NaN is in none."""
-    low, split = -np.inf, {}
-    for name, high in upper.items():
-        split[name] = (values > low) & (values <= high)
-        low = high
-    return split
-
-
 PANELS = (
     ("success", "solved [%]", 100.0),
     ("configuration_checks", "configuration checks, mean", 1.0),
 )
 
 
-def draw(rows: list[dict[str, Any]], out: Path) -> None:
+def draw(results: Row) -> Figure:
     """Draws bars with intervals: a row of panels for the test set, the public one, and families."""
-    kinds = {name: [row for row in rows if row["set"] == name] for name in ("test", "public")}
+    size = next(row["num_nodes"] for row in results["rows"] if row["num_nodes"])  # the strata's
+    rows = [row for row in results["rows"] if row["num_nodes"] in (None, size)]
+    kinds = {name: [row for row in rows if row["set"] == name] for name in SETS}
     kinds["families"] = [row for row in rows if row["set"] not in kinds]
     kinds = {name: chosen for name, chosen in kinds.items() if chosen}
-    figure = Figure(figsize=(20, 3.6 * len(kinds) + 0.8), layout="constrained")
+    figure = Figure(figsize=(20, 3.6 * len(kinds) + 0.8), dpi=100, layout="constrained")
     panels = np.atleast_2d(figure.subplots(len(kinds), 2))
     for (kind, chosen), line in zip(kinds.items(), panels, strict=True):
         counts = {row["stratum"]: row["summary"]["all"]["num_problems"] for row in chosen}
@@ -202,8 +143,109 @@ def draw(rows: list[dict[str, Any]], out: Path) -> None:
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=8)
     figure.suptitle("Means with 95 % intervals; in brackets: problems of the stratum")
-    atomic_write(out, lambda file: figure.savefig(file, dpi=100))
+    return figure
 
+
+def table(results: Row) -> str:
+    """Strata of the problem sets, then families."""
+    parts = ["Solved, and configuration checks as mean (median).\n"]
+    for name, title in SETS.items():
+        rows = of_set(results, name)
+        parts += [f"### {title}\n", strata_table(rows)] if rows else []
+    families = [row for row in results["rows"] if row["set"] not in SETS]
+    parts += ["### Families of hard scenes\n", "![Families](families.png)\n"]
+    return "\n".join([*parts, strata_table(families)])
+
+
+def strata_table(rows: list[Row]) -> str:
+    """Success and configuration checks, a row a stratum and a column a planner."""
+
+    def column(row: Row) -> tuple[str, int | None]:
+        return row["planner"], row["num_nodes"]
+
+    planners = list(dict.fromkeys(map(column, rows)))
+    largest = max((num for _, num in planners if num), default=None)
+    names = [
+        label(p) + (f", N = {num}" if num not in (None, largest) else "") for p, num in planners
+    ]
+    lines = []
+    for stratum in dict.fromkeys(row["stratum"] for row in rows):
+        chosen = {column(row): row["summary"] for row in rows if row["stratum"] == stratum}
+        num = chosen[planners[0]]["all"]["num_problems"]
+        if not num:
+            continue
+        cells = []
+        for planner in planners:
+            part = chosen[planner]["all"]
+            cells.append(
+                f"{cell(part['success'], '.0f', 100)} %, "
+                f"{cell(part['configuration_checks'], '.0f')} "
+                f"({cell(part['configuration_checks'], '.0f', key='median')})"
+            )
+        lines.append([stratum.replace("\n", " "), str(num), *cells])
+    return markdown(["stratum", "problems", *names], lines)
+
+
+def verdict(results: Row) -> str:
+    """Whether RRT-Connect's checks over the default planner's rise with every stratum, from easy to
+    hard, and whether the default planner needs the fewest in every family."""
+    means = {
+        (row["set"], row["stratum"], row["planner"]): part["mean"]
+        for row in results["rows"]
+        if (part := row["summary"]["all"]["configuration_checks"]) is not None
+    }
+    rival = "ompl:rrt_connect"
+
+    def ratio(name: str, stratum: str) -> float:
+        return means[name, stratum, rival] / means[name, stratum, "guided"]
+
+    def rising(scale: str, strata: Iterable[str]) -> Finding:
+        there = [stratum for stratum in strata if ("test", stratum, rival) in means]
+        ratios = [ratio("test", stratum) for stratum in there]
+        steps = ", ".join(f"{ratio:.1f} ({s})" for s, ratio in zip(there, ratios, strict=True))
+        return Finding(all(a < b for a, b in pairwise(ratios)), f"{scale}: {steps}")
+
+    names = dict.fromkeys(row["set"] for row in results["rows"] if row["set"] not in SETS)
+    fewest = [
+        all(
+            means[name, name, "guided"] < mean
+            for (where, _, planner), mean in means.items()
+            if where == name and planner != "guided"
+        )
+        for name in names
+    ]
+    saved = span((ratio(name, name) for name in names), ".1f")
+    families = (
+        f"fewest checks in {sum(fewest)} of {len(names)} families, {label(rival)} {saved} "
+        "times as many"
+    )
+    return judge(
+        rising("by the line, checks of RRT-Connect over those of guided", LINES),
+        rising("by boxes", BOXES),
+        rising("by clearance", reversed(CLEARANCES)),
+        Finding(all(fewest), families),
+    )
+
+
+EXPERIMENT = Experiment(
+    name="hard",
+    title="Hard problems",
+    claim="The harder the problem, the more the guide saves.",
+    config=HardConfig,
+    quick={
+        "num_nodes": 30,
+        "num_problems": 3,
+        "families": tuple(FAMILIES)[-1:],
+        "family_problems": 2,
+        # Scenes of their own kind are compiled anew for each planner.
+        "family_planners": ("guided", "ompl:rrt_connect"),
+        "guided_sizes": (30,),
+    },
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(HardConfig)))
+    main(EXPERIMENT)

@@ -6,13 +6,17 @@ words, as its figures have no tables.
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from experiments.figure5 import PAPER, PAPER_SHARES
+from experiments.conclusions import conclusions
+from experiments.published import (
+    FIGURE5,
+    FIGURE5_CHECK_SHARES,
+    FIGURE5_SUCCESS_AT_1000,
+    FIGURE7,
+)
+from experiments.results import Measured, Row, of_set
 from experiments.style import label
-from experiments.tables import Row, markdown
+from experiments.tables import markdown, seconds, span
 
 TEMPLATE = Path(__file__).with_name("paper_template.md")
 
@@ -22,37 +26,6 @@ RIVAL_COLUMNS = [
 ]
 
 
-class Measured:
-    """Looks up what was measured on the test problems of one experiment."""
-
-    def __init__(self, results: Row, name: str | None = None):
-        self.rows = [row for row in results["rows"] if name is None or row.get("set") == name]
-        self.sizes = sorted({row["num_nodes"] for row in self.rows if row["num_nodes"]})
-
-    def mean(
-        self,
-        planner: str,
-        quantity: str,
-        *,
-        num_nodes: int | None = None,
-        stratum: str = "all",
-        key: str = "mean",
-    ) -> float:
-        """A summary's number, averaged over the roadmap sizes unless one is named."""
-        values = [
-            row["summary"][stratum][quantity][key]
-            for row in self.rows
-            if row["planner"] == planner and num_nodes in (None, row["num_nodes"])
-        ]
-        if not values:
-            raise KeyError(f"{planner} with {num_nodes} nodes was not measured")
-        return float(np.mean(values))
-
-    def ratio(self, planner: str, other: str, quantity: str, **where: Any) -> float:
-        """One planner's mean over another's."""
-        return self.mean(planner, quantity, **where) / self.mean(other, quantity, **where)
-
-
 def percent(value: float, digits: int = 1) -> str:
     """A share as a percentage."""
     return f"{100 * value:.{digits}f} %"
@@ -60,28 +33,28 @@ def percent(value: float, digits: int = 1) -> str:
 
 def claims(figure5: Row, figure7: Row) -> list[list[str]]:
     """Rows of the table: claim; paper; its network and protocol here; default network here."""
-    seven, six = Measured(figure5, "test"), Measured(figure7)
+    seven, six = Measured(of_set(figure5, "test")), Measured(figure7["rows"])
     rows: list[list[str]] = []
 
     def row(claim: str, paper: str, here: Callable[[str], str]) -> None:
         rows.append([claim, paper, here("gnn_paper"), here("gnn"), here("gnn_lazy")])
 
-    paper = PAPER["gnn"]
+    paper = FIGURE5["gnn"]
     row("success, R^7", percent(paper["success"], 0), lambda p: percent(seven.mean(p, "success")))
     row(
         "success at N = 1000",
-        "up to 99 %",
+        f"up to {percent(FIGURE5_SUCCESS_AT_1000, 0)}",
         lambda p: percent(seven.mean(p, "success", num_nodes=1000)),
     )
     for other, name in (("prm", "PRM"), ("ompl:bit_star", "BIT*"), ("ompl:rrt_star", "RRT*")):
         row(
             f"edge checks, share of {name}'s",
-            percent(PAPER_SHARES[other], 2),
+            percent(FIGURE5_CHECK_SHARES[other], 2),
             lambda p, other=other: percent(seven.ratio(p, other, "edge_checks"), 2),
         )
     row(
         "planning time, PRM's over its own",
-        f"{PAPER['prm']['planning_time_s'] / paper['planning_time_s']:.0f} times",
+        f"{FIGURE5['prm']['planning_time_s'] / paper['planning_time_s']:.0f} times",
         lambda p: f"{seven.ratio('prm', p, 'planning_time_s', key='median'):.1f} times",
     )
     row(
@@ -96,7 +69,7 @@ def claims(figure5: Row, figure7: Row) -> list[list[str]]:
     row("path cost", f"{paper['cost']:.2f}", lambda p: f"{seven.mean(p, 'cost'):.2f}")
     row(
         "path cost over PRM's",
-        f"{paper['cost'] / PAPER['prm']['cost']:.2f}",
+        f"{paper['cost'] / FIGURE5['prm']['cost']:.2f}",
         lambda p: f"{seven.ratio(p, 'prm', 'cost'):.2f}",
     )
     row(
@@ -106,12 +79,12 @@ def claims(figure5: Row, figure7: Row) -> list[list[str]]:
     )
     row(
         "R^6: fewer edge checks than PRM by",
-        "99.7 %",
+        percent(FIGURE7["edge_checks"]["saved"]),
         lambda p: percent(1 - six.ratio(p, "prm", "edge_checks"), 2),
     )
     row(
         "R^6: less planning time than BIT* by",
-        "98.6 %",
+        percent(FIGURE7["planning_time_s"]["saved"]),
         lambda p: percent(1 - six.ratio(p, "ompl:bit_star", "planning_time_s")),
     )
     return rows
@@ -119,7 +92,7 @@ def claims(figure5: Row, figure7: Row) -> list[list[str]]:
 
 def rivals(figure5: Row) -> list[list[str]]:
     """Rows of the table of planners that the paper leaves out, at two sizes, hard problems."""
-    seven = Measured(figure5, "test")
+    seven = Measured(of_set(figure5, "test"))
     lines = []
     for planner, sizes in (
         ("gnn_paper", (200, 1000)),
@@ -187,6 +160,7 @@ def page(results: dict[str, Row]) -> str:
     """docs/paper.md."""
     figure5, figure7, failures = results["figure5"], results["figure7"], results["failures"]
     sizes = sorted({row["num_nodes"] for row in failures["rows"]})
+    first = of_set(figure5, "test")[0]
     heads = ("its network and protocol, here", "default network, greedy", "default network, lazy")
     share = failures["grid"]["start_or_goal_in_a_voxel"]
     return TEMPLATE.read_text(encoding="utf-8").format(
@@ -201,4 +175,10 @@ def page(results: dict[str, Row]) -> str:
         ),
         sizes=" / ".join(str(n) for n in sizes),
         voxels=percent(share, 0),
+        conclusions=conclusions(results),
+        check=seconds(results["crossover"]["marks_s"]["our fused kernel"]),
+        resolution=first["settings"]["resolution"],
+        problems=first["summary"]["num_problems"],
+        seven_sizes=span(Measured(of_set(figure5, "test")).sizes, "d"),
+        six_sizes=span(Measured(figure7["rows"]).sizes, "d"),
     )

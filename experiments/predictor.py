@@ -9,44 +9,41 @@ pieces of several largest lengths, without being trained anew.
 
 Operations are those on an edge of 3 rad. What a network sees of the arm (kinematics, distances of
 points to boxes), and a configuration check of the fused kernel, are counted in the compiled program
-like in `benchmark_collision.py`: sums, products, comparisons, roots, sines and so on, one each. An
+by `operations.py`: sums, products, comparisons, roots, sines and so on, one each. An
 edge of n pieces is seen at n + 1 configurations. The network's own are counted by formula for each
 piece: two for every weight, and ten for every point's features. A check of the edge tests what is
 between its ends every 0.05 rad. Boxes are as many as the scenes have in the mean, rounded.
 """
 
 import dataclasses
-import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import tyro
-from flax import nnx
 from matplotlib.figure import Figure
 
 from experiments import training
-from experiments.benchmark_collision import operations
-from experiments.measure import ExperimentConfig, save_results
-from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
-from gnnjax.errors import run_command
-from gnnjax.files import atomic_write
-from gnnjax.guide.motion import MotionNetwork, make_prices
-from gnnjax.guide.view import arm_view
-from gnnjax.problems.labelled import LabelledRoadmap, generate_labelled, problem_keys
-from gnnjax.scene.scene import Scene
-from gnnjax.train_motion import TrainMotionConfig, area_under_curve
+from experiments.edges import (
+    EDGE_LENGTH,
+    Edges,
+    areas_under_curve,
+    check_operations,
+    labelled_edges,
+    network_operations,
+    view_operations,
+)
+from experiments.measure import ExperimentConfig
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Row
+from experiments.tables import markdown, span
+from gnnjax.collision.checker import EDGE_RESOLUTION
+from gnnjax.guide.motion import MotionNetwork
+from gnnjax.train_motion import TrainMotionConfig
 from gnnjax.training.weights import load_network
 
-CLAIM = "A few points of the arm tell valid edges from blocked ones for less than a check costs."
-EDGE_LENGTH = 3.0  # rad, of the edge that operations are counted for
-_BATCH = 1024  # configurations of the programs in which operations are counted
+TOLD_APART = 0.99  # area under the curve from which on a network is said to tell edges apart
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,56 +68,20 @@ class PredictorConfig(ExperimentConfig):
     """Where the networks go."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Edges:
-    """Labelled edges of R roadmaps of an arm, padded to E each."""
-
-    robot: Robot
-    scenes: Scene  # [R ...]
-    starts: np.ndarray  # [R E D]
-    ends: np.ndarray  # [R E D]
-    valid: np.ndarray  # [R E]
-    mask: np.ndarray  # [R E] false on padding
-
-    @property
-    def lengths(self) -> np.ndarray:
-        """`[R E]`, configuration units."""
-        return np.linalg.norm(self.ends - self.starts, axis=-1)
-
-    @property
-    def num_boxes(self) -> int:
-        """Boxes of a scene in the mean, rounded."""
-        return max(1, round(float(self.scenes.mask.sum(axis=-1).mean())))
+def measurement(config: PredictorConfig) -> Measurement:
+    """Rows of networks and spacings, and what checking an edge takes."""
+    if config.robot:
+        config = dataclasses.replace(config, robots=(config.robot,), robot=None)
+    sets = [labelled_edges(name, config.num_roadmaps, config.num_nodes) for name in config.robots]
+    head = {
+        "check_operations": {edges.robot.name: check_operations(edges) for edges in sets},
+        "edge_length": EDGE_LENGTH,
+        "resolution": EDGE_RESOLUTION,
+    }
+    return Measurement(_rows(config, sets), head)
 
 
-def run(config: PredictorConfig) -> None:
-    """Trains what is missing, tells edges apart and draws the figure."""
-    if config.quick:
-        config = dataclasses.replace(
-            config,
-            robots=(config.robot or config.robots[0],),
-            num_points=config.num_points[:1],
-            channels=config.channels[:1],
-            spacings=config.spacings[:2],
-            steps=2,
-            num_roadmaps=2,
-            num_nodes=30,
-        )
-    sets = [labelled_edges(name, config) for name in config.robots]
-    checks = {edges.robot.name: check_operations(edges) for edges in sets}
-    rows = save_results(
-        config,
-        "predictor",
-        CLAIM,
-        _rows(config, sets),
-        check_operations=checks,
-        edge_length=EDGE_LENGTH,
-        resolution=EDGE_RESOLUTION,
-    )
-    draw(rows, checks, config.out / "predictor.png")
-
-
-def _rows(config: PredictorConfig, sets: list[Edges]) -> Iterator[dict[str, Any]]:
+def _rows(config: PredictorConfig, sets: list[Edges]) -> Iterator[Row]:
     for name, command, network in _networks(config):
         areas = [areas_under_curve(network, edges, config.spacings) for edges in sets]
         seen = [view_operations(edges, network.num_points) for edges in sets]
@@ -162,84 +123,10 @@ def _networks(config: PredictorConfig) -> Iterator[tuple[str, str, MotionNetwork
     yield "shipped", "python -m gnnjax.train_motion", network
 
 
-def labelled_edges(robot_name: str, config: PredictorConfig) -> Edges:
-    """The edges of validation roadmaps, each once."""
-    robot = load_robot(robot_name)
-    draw = generate_labelled(robot, config.num_nodes)
-    drawn = draw(problem_keys(0, "validation", 0, config.num_roadmaps))
-    assert isinstance(drawn, LabelledRoadmap)
-    roadmaps, labels = jax.tree.map(np.asarray, (drawn.roadmap, drawn.labels))
-    own = np.arange(roadmaps.nodes.shape[1])[:, None]
-    once = roadmaps.neighbor_mask & (own < roadmaps.neighbors)
-    most = int(once.sum(axis=(1, 2)).max())
-    shape = (config.num_roadmaps, most)
-    starts, ends = np.zeros((2, *shape, robot.num_dof), np.float32)
-    valid, mask = np.zeros((2, *shape), bool)
-    for i, chosen in enumerate(once):
-        node, slot = np.nonzero(chosen)
-        num = len(node)
-        starts[i, :num] = roadmaps.nodes[i, node]
-        ends[i, :num] = roadmaps.nodes[i, roadmaps.neighbors[i, node, slot]]
-        valid[i, :num] = labels.edge_valid[i, node, slot]
-        mask[i, :num] = True
-    scenes = jax.tree.map(np.asarray, drawn.problem.scene)
-    return Edges(robot, scenes, starts, ends, valid, mask)
-
-
-def areas_under_curve(
-    network: MotionNetwork, edges: Edges, spacings: tuple[float, ...]
-) -> list[float]:
-    """How well a network tells valid edges from blocked ones, for each spacing."""
-    view = arm_view(edges.robot, network.num_points)
-    graphdef, weights = nnx.split(network)
-    most = math.ceil(float(edges.lengths.max()) / min(spacings))
-
-    @jax.jit
-    def scores(weights: Any, scene: Scene, starts: jax.Array, ends: jax.Array, spacing: jax.Array):
-        seen = functools.partial(view, scene)
-        prices = make_prices(nnx.merge(graphdef, weights), seen, spacing)
-        return -prices.motions(starts, ends, most)
-
-    areas = []
-    for spacing in spacings:
-        found = [
-            scores(weights, jax.tree.map(lambda x, i=i: x[i], edges.scenes), *ends, spacing)
-            for i, ends in enumerate(zip(edges.starts, edges.ends, strict=True))
-        ]
-        areas.append(area_under_curve(np.stack(found)[edges.mask], edges.valid[edges.mask]))
-    return areas
-
-
-def _counted(edges: Edges, function: Callable) -> int:
-    """Operations of a compiled function `(scene, q [B D])`, for a configuration."""
-    scene = jax.tree.map(lambda x: jnp.asarray(x[0]), edges.scenes)
-    q = jnp.zeros((_BATCH, edges.robot.num_dof))
-    program = jax.jit(function).lower(scene, q).compile().as_text()
-    assert program is not None
-    return operations(program, _BATCH, edges.num_boxes).total()
-
-
-def view_operations(edges: Edges, num_points: int) -> int:
-    """Operations of what a network sees of the arm at a configuration."""
-    return _counted(edges, arm_view(edges.robot, num_points))
-
-
-def check_operations(edges: Edges) -> int:
-    """Operations of checking a free edge between its ends with the fused kernel."""
-    checker = make_checker(edges.robot, axis_aligned=True)
-    between = math.ceil(EDGE_LENGTH / EDGE_RESOLUTION) - 1
-    return between * _counted(edges, checker.check_configurations)
-
-
-def network_operations(network: MotionNetwork) -> int:
-    """Operations of the network itself for a piece of a motion, by formula."""
-    weights = sum(x.size for x in jax.tree.leaves(nnx.state(network, nnx.Param)))
-    return 2 * weights + 10 * (network.num_points + 1)
-
-
-def draw(rows: list[dict[str, Any]], checks: dict[str, int], out: Path) -> None:
+def draw(results: Row) -> Figure:
     """Draws the area over operations, a panel an arm and a line a network; grey: the best."""
-    figure = Figure(figsize=(6.5 * len(checks), 4.6), layout="constrained")
+    rows, checks = results["rows"], results["check_operations"]
+    figure = Figure(figsize=(6.5 * len(checks), 4.6), dpi=110, layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(checks)))
     for axes, (arm, check) in zip(panels, checks.items(), strict=True):
         points = [(row["arms"][arm]["operations"], row["arms"][arm]["area"]) for row in rows]
@@ -253,11 +140,15 @@ def draw(rows: list[dict[str, Any]], checks: dict[str, int], out: Path) -> None:
         axes.annotate(
             "checking the edge", (check, 0.02), xycoords=("data", "axes fraction"), rotation=90
         )
-        axes.set(xscale="log", title=arm, xlabel=f"operations for an edge of {EDGE_LENGTH:g} rad")
+        axes.set(
+            xscale="log",
+            title=arm,
+            xlabel=f"operations for an edge of {results['edge_length']:g} rad",
+        )
     panels[0].set_ylabel("area under the ROC curve")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    atomic_write(out, lambda file: figure.savefig(file, dpi=110))
+    return figure
 
 
 def pareto(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -269,5 +160,72 @@ def pareto(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return front
 
 
+def table(results: Row) -> str:
+    """Area under the curve and operations of each network and spacing."""
+    checks = results["check_operations"]
+    lines = []
+    for row in results["rows"]:
+        line = [row["network"], f"{row['spacing']:g}"]
+        for arm, check in checks.items():
+            part = row["arms"][arm]
+            share = 100 * part["operations"] / check
+            line += [f"{part['area']:.4f}", f"{part['operations'] / 1e3:.0f}", f"{share:.0f}"]
+        lines.append(line)
+    head = ["network", "pieces up to, rad"]
+    for arm in checks:
+        head += [f"{arm}: area", "thousand operations", "% of a check"]
+    each = ", ".join(f"{count / 1e3:.0f} thousand ({arm})" for arm, count in checks.items())
+    note = (
+        f"Operations on an edge of {results['edge_length']:g} rad; checking it every "
+        f"{results['resolution']:g} rad takes {each}.\n"
+    )
+    return note + "\n" + markdown(head, lines)
+
+
+def verdict(results: Row) -> str:
+    """Whether there are pieces from which on every network tells the edges of every arm apart, and
+    takes fewer operations than the check."""
+    checks = results["check_operations"]
+    told = None
+    for spacing in sorted({row["spacing"] for row in results["rows"]}):
+        parts = [
+            (part["area"], part["operations"] / checks[arm])
+            for row in results["rows"]
+            if row["spacing"] <= spacing
+            for arm, part in row["arms"].items()
+        ]
+        areas, shares = zip(*parts, strict=True)
+        if min(areas) < TOLD_APART or max(shares) >= 1:
+            break
+        told = spacing, areas, shares
+    if told is None:
+        return judge(Finding(False, f"not every area is {TOLD_APART:g} for less than a check"))
+    spacing, areas, shares = told
+    text = (
+        f"in pieces of {spacing:g} rad and less, the area is {span(areas, '.4f')} in all networks "
+        f"and arms, for {span(shares, '.0f', 100)} % of the operations of a check"
+    )
+    return judge(Finding(True, text))
+
+
+EXPERIMENT = Experiment(
+    name="predictor",
+    title="Telling edges apart",
+    claim="A few points of the arm tell valid edges from blocked ones for less than a check costs.",
+    config=PredictorConfig,
+    quick={
+        "robots": ("kuka_iiwa14",),
+        "num_points": (6,),
+        "spacings": (1.5, 0.8),
+        "steps": 2,
+        "num_roadmaps": 2,
+        "num_nodes": 30,
+    },
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
+
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(PredictorConfig)))
+    main(EXPERIMENT)

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.measure import statistics
-from experiments.style import BAND
+from experiments.statistics import BAND, statistics
 
 GUIDES = ("guided", "gnn", "gnn_lazy")
 

@@ -8,36 +8,14 @@ everything on a few problems and writes no texts.
 """
 
 import dataclasses
-from collections.abc import Callable
 
 import tyro
 from rich.console import Console
 
-from experiments import (
-    ablation,
-    arms,
-    crossover,
-    failures,
-    figure5,
-    figure7,
-    hard,
-    predictor,
-    report,
-)
+from experiments import record, report
 from experiments.measure import ExperimentConfig
+from experiments.registry import EXPERIMENTS
 from gnnjax.errors import InputError, run_command
-
-# In the order in which they share runs: crossover, hard and failures read those of figure5.
-EXPERIMENTS: dict[str, tuple[type[ExperimentConfig], Callable]] = {
-    "figure5": (figure5.Figure5Config, figure5.run),
-    "figure7": (figure7.Figure7Config, figure7.run),
-    "crossover": (crossover.CrossoverConfig, crossover.run),
-    "hard": (hard.HardConfig, hard.run),
-    "failures": (failures.FailuresConfig, failures.run),
-    "arms": (arms.ArmsConfig, arms.run),
-    "predictor": (predictor.PredictorConfig, predictor.run),
-    "ablation": (ablation.AblationConfig, ablation.run),
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,9 +34,8 @@ def run(config: RunAllConfig) -> None:
     shared = {f.name: getattr(config, f.name) for f in dataclasses.fields(ExperimentConfig)}
     console = Console()
     for name in config.only:
-        make, experiment = EXPERIMENTS[name]
         console.rule(name)
-        experiment(make(**shared))
+        record.run(EXPERIMENTS[name], EXPERIMENTS[name].config(**shared))
     if not config.quick:
         report.run(report.ReportConfig(results=config.out))
 

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from experiments.statistics import BAND
+
 COLORS = {
     "guided": "darkblue",
     "guided_roadmap": "slateblue",
@@ -84,6 +86,3 @@ def draw_bars(
             error_kw={"elinewidth": 0.8},
         )
     axes.set_xticks(range(len(groups)), groups)
-
-
-BAND = ("mean", "low", "high")

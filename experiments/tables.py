@@ -1,11 +1,11 @@
-"""Markdown tables of summaries (`experiments.measure.summarize_seeds`)."""
+"""Markdown tables of summaries (of `experiments.statistics`), and words for numbers."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
 
+from experiments.results import Row
 from experiments.style import label
 
-Row = dict[str, Any]
+SETS = {"test": "The project's own 300 test problems", "public": "The first 300 public problems"}
 
 
 def cell(part: Row | None, form: str, scale: float = 1.0, key: str = "mean") -> str:
@@ -76,3 +76,28 @@ def seconds(value: float | None) -> str:
         if value >= scale:
             return f"{value / scale:.3g} {unit}"
     return f"{value:.3g} s"
+
+
+def measured_on(results: Row, row: Row) -> str:
+    """Problems, seeds and machine, in a sentence."""
+    summary, machine = row["summary"], results["machine"]
+    num = summary["num_problems"]
+    return (
+        f"{num} problems, {num - summary['num_invalid']} of them valid "
+        f"({summary['num_invalid']} have an end in collision) and "
+        f"{summary['hard']['num_problems']} hard; {summary['num_seeds']} seeds. "
+        f"{machine['processor']}, {machine['cores']} cores, jax {machine['jax']}, gnnjax "
+        f"{machine['gnnjax']}."
+    )
+
+
+def span(values: Iterable[float], form: str, scale: float = 1) -> str:
+    """The least to the largest of some numbers, or the one that they round to."""
+    ordered = sorted(values)
+    ends = dict.fromkeys(f"{scale * value:{form}}" for value in (ordered[0], ordered[-1]))
+    return " to ".join(ends)
+
+
+def listing(words: Sequence[str]) -> str:
+    """Words with commas between them and an "and" before the last."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

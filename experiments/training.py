@@ -1,9 +1,9 @@
 """Motion networks of the experiments: trained where they are missing, and kept in `runs/`."""
 
 import dataclasses
-import shlex
 from pathlib import Path
 
+from experiments.commands import command_line
 from gnnjax.train_motion import TrainMotionConfig, train_motion
 
 
@@ -17,10 +17,4 @@ def trained(config: TrainMotionConfig) -> Path:
 
 def command(config: TrainMotionConfig) -> str:
     """The command line of a training."""
-    words = ["python", "-m", "gnnjax.train_motion"]
-    for field in dataclasses.fields(TrainMotionConfig):
-        value = getattr(config, field.name)
-        if value != field.default and field.name != "resume":
-            words += [f"--{field.name.replace('_', '-')}"]
-            words += map(str, value if isinstance(value, tuple) else [value])
-    return shlex.join(words)
+    return command_line("train_motion", config, skip=["resume"])

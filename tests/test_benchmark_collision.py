@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.benchmark_collision import BenchmarkConfig, main, operations
+from experiments.benchmark_collision import BenchmarkConfig, main
+from experiments.operations import operations
 from gnnjax.errors import InputError
 
 

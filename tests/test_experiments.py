@@ -9,33 +9,26 @@ import numpy as np
 import pytest
 import tyro
 
-from experiments import (
-    arms,
-    crossover,
-    failures,
-    figure5,
-    figure7,
-    hard,
-    measure,
-    predictor,
-    report,
-    run_all,
+from experiments import arms, crossover, failures, hard, measure, predictor, run_all
+from experiments.bounds import (
+    BOUNDED,
+    bounds_table,
+    first_roadmap,
+    per_verification,
+    verification_table,
 )
-from experiments.bounds import first_roadmap, per_verification
 from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, own_case
-from experiments.measure import ExperimentConfig, load_results, statistics, summarize_seeds
+from experiments.hard import strata_table
+from experiments.measure import ExperimentConfig
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
+from experiments.record import run
+from experiments.registry import EXPERIMENTS
+from experiments.results import load_results
+from experiments.statistics import statistics, summarize_seeds
+from experiments.strata import split
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
-
-EXPERIMENTS = {
-    "figure5": (figure5.Figure5Config, figure5.run),
-    "figure7": (figure7.Figure7Config, figure7.run),
-    "crossover": (crossover.CrossoverConfig, crossover.run),
-    "hard": (hard.HardConfig, hard.run),
-    "failures": (failures.FailuresConfig, failures.run),
-    "arms": (arms.ArmsConfig, arms.run),
-}
+from gnnjax.measure.rows import QUANTITIES
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +38,15 @@ def folder(tmp_path_factory):
 
 def quick(name: str, tiny_path: Path, folder: Path) -> tuple[ExperimentConfig, dict]:
     """Runs the quick form of an experiment; all share their runs, as the real ones do."""
-    make, run = EXPERIMENTS[name]
     folders = {key: folder / key for key in ("data", "runs", "results")}
     # The tiny arm has no weights of its own.
     more = {"figure7": {"weights": Path("kuka_iiwa14")}}
-    config = make(quick=True, robot=str(tiny_path), **folders, **more.get(name, {}))
-    run(config)
-    return config, load_results(folder / "results" / f"{name}.json")
+    experiment = EXPERIMENTS[name]
+    options = folders | more.get(name, {})
+    config = experiment.config(quick=True, robot=str(tiny_path), **options)
+    results = run(experiment, config)
+    assert load_results(folder / "results" / f"{name}.json") == results
+    return config, results
 
 
 # One test for all of them, so that they run in one process and compile once.
@@ -79,18 +74,19 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     for name, planners in expected.items():
         config, results = quick(name, tiny_path, folder)
         assert results["experiment"] == name
-        assert results["claim"]
+        assert results["claim"] == EXPERIMENTS[name].claim
+        assert "|" in EXPERIMENTS[name].table(results)
         assert {row["planner"] for row in results["rows"]} == planners
         assert all("python -m gnnjax.evaluate" in row["command"] for row in results["rows"])
         assert (config.out / f"{name}.png").stat().st_size > 10_000
     # The tables of docs/results.md that need rows problem by problem.
     found = {name: load_results(folder / "results" / f"{name}.json") for name in expected}
-    bounds = report.bounds_table(found["figure5"]["rows"])
-    assert len(bounds.splitlines()) == 2 + len(figure5.BOUNDED)
-    assert "RRT-Connect, simplified" in report.verification_table(found["figure5"]["rows"])
-    assert "guided, trained on this arm" in report.arms_table(found["arms"])
+    bounds = bounds_table(found["figure5"]["rows"])
+    assert len(bounds.splitlines()) == 2 + len(BOUNDED)
+    assert "RRT-Connect, simplified" in verification_table(found["figure5"]["rows"])
+    assert "guided, trained on this arm" in arms.table(found["arms"])
     strata = [row for row in found["hard"]["rows"] if row["set"] == "test"]
-    assert "guided" in report.strata_table(strata)
+    assert "guided" in strata_table(strata)
     own = next(row for row in found["arms"]["rows"] if row["planner"] == "guided_own")
     assert own["to_own"]["edge_checks"] == {"mean": 1.0, "low": 1.0, "high": 1.0}
     # Each case was evaluated once, whoever asked for it.
@@ -124,8 +120,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
 def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder):
     folders = {key: folder / key for key in ("data", "runs", "results", "trained")}
     config = predictor.PredictorConfig(quick=True, robot=str(tiny_path), **folders)
-    predictor.run(config)
-    results = load_results(folder / "results" / "predictor.json")
+    results = run(predictor.EXPERIMENT, config)
     assert {row["network"] for row in results["rows"]} == {"6 points, 16 wide, 2 steps", "shipped"}
     for row in results["rows"]:
         assert 0 <= row["arms"]["tiny"]["area"] <= 1
@@ -133,7 +128,8 @@ def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder):
     coarse, fine = (row["arms"]["tiny"]["operations"] for row in results["rows"][:2])
     assert 4 / 3 < fine / coarse < 2
     assert (folder / "results" / "predictor.png").stat().st_size > 10_000
-    assert len(report.predictor_table(results).splitlines()) == 2 + len(results["rows"])
+    lines = predictor.table(results).splitlines()
+    assert sum(line.startswith("|") for line in lines) == 2 + len(results["rows"])
 
 
 def test_the_pareto_front_leaves_out_what_costs_more_for_less():
@@ -158,7 +154,7 @@ def some_rows(rng, num: int) -> list[dict]:
                 "edge_checks": None,
                 **{
                     name: float(rng.uniform(0, 100))
-                    for name in measure.QUANTITIES
+                    for name in QUANTITIES
                     if name not in ("cost", "edge_checks")
                 },
             }
@@ -272,7 +268,7 @@ def test_other_files_are_no_results(tmp_path):
 
 
 def test_strata_split_by_upper_ends():
-    found = hard._between(np.array([2, 3, 4, 9, np.nan]), {"few": 3, "many": np.inf})
+    found = split(np.array([2, 3, 4, 9, np.nan]), {"few": 3, "many": np.inf})
     assert found["few"].tolist() == [True, True, False, False, False]
     assert found["many"].tolist() == [False, False, True, True, False]
 
@@ -349,8 +345,9 @@ def test_a_quick_look_leaves_the_real_results_alone():
 
 
 def test_one_command_runs_all_experiments_there_are():
-    scripts = {path.stem for path in Path("experiments").glob("*.py")}
-    assert scripts >= set(run_all.EXPERIMENTS) >= set(EXPERIMENTS)
+    scripts = Path("experiments").glob("*.py")
+    commands = {path.stem for path in scripts if "main(EXPERIMENT)" in path.read_text()}
+    assert commands == set(EXPERIMENTS)
     with pytest.raises(InputError, match="no experiment 'figure6'; there are"):
         run_all.run(run_all.RunAllConfig(only=("figure6",)))
 

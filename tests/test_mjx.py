@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from experiments import compare_labels
-from experiments.benchmark_collision import Engine
 from experiments.compare_labels import CompareConfig, _points, main
+from experiments.engine import Engine
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.mjx import _frames_in_bodies, _placer

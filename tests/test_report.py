@@ -1,12 +1,18 @@
 """The texts hold the numbers of the results files, and nothing typed by hand."""
 
+import copy
 import json
+from pathlib import Path
 
 import pytest
 
-from experiments.measure import load_results
-from experiments.report import ReportConfig, replace_section, texts
-from experiments.tables import markdown, seconds
+from experiments.conclusions import conclusions
+from experiments.readme import replace_section
+from experiments.record import Finding, judge
+from experiments.registry import EXPERIMENTS
+from experiments.report import ReportConfig, texts
+from experiments.results import load_results
+from experiments.tables import listing, markdown, seconds, span
 from gnnjax.errors import InputError
 
 
@@ -44,3 +50,107 @@ def test_tables_and_prices_read_well():
         "40 ms",
         "1 s",
     ]
+    assert span([0.31, 0.12, 0.2], ".0f", 100) == "12 to 31"
+    assert span([0.1201, 0.12], ".1f", 100) == "12.0"
+    assert [listing(words.split()) for words in ("a", "a b", "a b c")] == [
+        "a",
+        "a and b",
+        "a, b and c",
+    ]
+
+
+def test_a_verdict_says_which_parts_hold():
+    one, two = Finding(True, "one"), Finding(False, "two")
+    assert judge(one) == "Holds: one."
+    assert judge(one, one, beside=["More."]) == "Holds: one; one. More."
+    assert judge(two) == "Does not hold: two."
+    assert judge(two, one) == "Holds in part: one. What does not hold: two."
+
+
+def of_planner(results, name):
+    return (row for row in results["rows"] if row["planner"] == name)
+
+
+def many_checks(results):
+    for row in of_planner(results, "guided"):
+        row["summary"]["all"]["configuration_checks"] |= {"mean": 5e4, "high": 6e4}
+
+
+def quick_planning(results):
+    for name in ("gnn", "gnn_lazy"):
+        for row in of_planner(results, name):
+            row["saved"]["planning_time_s"] = 0.25
+
+
+def dear_guide(results):
+    for found in results["crossovers"]:
+        if found["guide"] == "guided" and found["rival"] == "lazysp":
+            found["from_s"] = None
+
+
+def easy_for_rrt_connect(results):
+    for row in of_planner(results, "ompl:rrt_connect"):
+        if row["stratum"] == "line blocked":
+            row["summary"]["all"]["configuration_checks"]["mean"] = 1.0
+
+
+def no_dead_ends(results):
+    for row in of_planner(results, "gnn_paper"):
+        row["dead_ends"]["low"] = 0.0
+
+
+def as_well_as_its_own(results):
+    for row in of_planner(results, "guided"):
+        row["to_own"] = {"edge_checks": {"mean": 1.01, "low": 0.93, "high": 1.1}}
+
+
+def dear_networks(results):
+    results["check_operations"] = dict.fromkeys(results["check_operations"], 1000)
+
+
+def a_part_that_pays(results):
+    for row in results["rows"]:
+        if row["variant"] == "default without gat":
+            row["difference"]["edge_checks"] |= {"mean": 2.0, "low": 1.0, "high": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "before", "after"),
+    [
+        ("figure5", many_checks, "Holds: ", "What does not hold: 50000 configuration checks"),
+        ("figure7", quick_planning, "gnn 1.7 times BIT*", "gnn 25.0 % less than BIT*"),
+        ("crossover", dear_guide, "Holds: ", "Does not hold: guided is faster in the mean against"),
+        ("hard", easy_for_rrt_connect, "5.4 (line blocked)", "0.0 (line blocked)"),
+        ("failures", no_dead_ends, "Holds in part: dead ends", "does not hold: dead ends"),
+        ("arms", as_well_as_its_own, "1.20 (1.10 to 1.30) times", "Holds: "),
+        ("predictor", dear_networks, "Holds: in pieces of 0.5 rad", "Does not hold: not every"),
+        (
+            "ablation",
+            a_part_that_pays,
+            "save 4.2 (3.2 to 5.2) and gat, gcn",
+            "gat save 2.0 (1.0 to 3.0)",
+        ),
+    ],
+)
+def test_a_verdict_follows_its_results(name, change, before, after):
+    experiment = EXPERIMENTS[name]
+    results = load_results(Path("results") / f"{name}.json")
+    assert results["claim"] == experiment.claim
+    changed = copy.deepcopy(results)
+    change(changed)
+    verdicts = experiment.verdict(results), experiment.verdict(changed)
+    assert before in verdicts[0]
+    assert before not in verdicts[1]
+    assert after in verdicts[1]
+    assert after not in verdicts[0]
+
+
+def test_a_conclusion_follows_the_results():
+    results = {name: load_results(Path("results") / f"{name}.json") for name in EXPERIMENTS}
+    statement = "- **Dead ends belong to the greedy walk, not to the network.**"
+    assert f"{statement} Holds: the lazy search has 0.0 % dead ends" in conclusions(results)
+    for row in of_planner(results["failures"], "gnn_lazy"):
+        row["dead_ends"]["mean"] = 0.02
+    found = conclusions(results)
+    assert f"{statement} Holds in part: its paths are" in found
+    assert "What does not hold: the lazy search has 2.0 % dead ends." in found

@@ -33,15 +33,16 @@ def summarize(rows: list[dict]) -> dict[str, Any]:
         for name, failures_count in QUANTITIES.items():
             rows_counted = chosen if failures_count else solved
             values = [row[name] for row in rows_counted if row[name] is not None]
-            part[name] = (
-                {
-                    "mean": float(np.mean(values)),
-                    "std": float(np.std(values)),
-                    "median": float(np.median(values)),
-                    "p95": float(np.quantile(values, 0.95)),
-                }
-                if values
-                else None
-            )
+            part[name] = describe(np.array(values)) if values else None
         summary[stratum] = part
     return summary
+
+
+def describe(values: np.ndarray) -> dict[str, float]:
+    """Mean, spread, median and 95th percentile of the values there are."""
+    return {
+        "mean": float(values.mean()),
+        "std": float(values.std()),
+        "median": float(np.median(values)),
+        "p95": float(np.quantile(values, 0.95)),
+    }
