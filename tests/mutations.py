@@ -393,6 +393,7 @@ def read_kind(kind: str, numbers: range, seed: int) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         make = KINDS[kind][0](folder)
+        os.chdir(folder)  # where MuJoCo writes its log
         for number in numbers:
             rng = random.Random(f"{kind} {seed} {number}")
             path = folder / f"input{number}"
@@ -411,6 +412,7 @@ def read_kind(kind: str, numbers: range, seed: int) -> None:
             signal.alarm(0)
             print(json.dumps([number, outcome]), flush=True)
             shutil.rmtree(path, ignore_errors=True)
+        os.chdir("/")
 
 
 def try_kind(kind: str, number: int, seed: int) -> dict[int, str]:
