@@ -45,7 +45,7 @@ guide.guide guide.view guide.motion
 search.knowledge search.greedy search.lazy search.shorten search.guided
 problems.problem problems.file problems.shards problems.families problems.family_problem
 problems.labelled
-planning.options planning.query planning.strategy planning.engine planning.planner
+planning.options planning.query planning.strategy planning.compiled planning.engine planning.planner
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl

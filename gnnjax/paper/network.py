@@ -1,5 +1,7 @@
 """The guidance network: which neighbor of a node should the path go to next?
 
+One class, in the order of the paper's equations, and so longer than other modules.
+
 Symbols, as in the paper: `h_i = [x_i, x_goal]` the data of a node, `x` its code after
 `ReLU(GCN(ReLU(GAT(h))))`, `y` the code of the obstacles, `o` the environment code of a node, `P`
 the codes of the path walked so far. C is `channels`, the paper's d.

@@ -16,7 +16,8 @@ from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, check_seed
 from gnnjax.guide.guide import Guide
 from gnnjax.planning import strategy as strategies
-from gnnjax.planning.engine import Batch, Compiled, compile_strategy
+from gnnjax.planning.compiled import Compiled, compile_strategy
+from gnnjax.planning.engine import Batch
 from gnnjax.planning.options import PlannerOptions, check_options, make_options
 from gnnjax.planning.query import Plan, QueryPlanner, base_clear, check_query
 from gnnjax.planning.strategy import Strategy
@@ -139,7 +140,9 @@ class Planner:
         Raises:
             InputError: start or goal is no valid configuration, or a box stands in the base.
         """
-        self.warm_up(scene)
+        if (1, len(scene.mask), is_axis_aligned(scene)) not in self._warm:
+            check_query(self.robot, scene, start, goal)  # refused before a minute of compilation
+            self.warm_up(scene)
         begin = time.perf_counter()
         start, goal = check_query(self.robot, scene, start, goal)
         problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
