@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.certify import check_scene
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, check_seed
 from gnnjax.guide.guide import Guide
@@ -140,6 +141,7 @@ class Planner:
         Raises:
             InputError: start or goal is no valid configuration, or a box stands in the base.
         """
+        check_scene(scene)
         if (1, len(scene.mask), is_axis_aligned(scene)) not in self._warm:
             check_query(self.robot, scene, start, goal)  # refused before a minute of compilation
             self.warm_up(scene)
