@@ -20,6 +20,7 @@ from gnnjax.plan import main as plan_once
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import load_planner
 from gnnjax.scene.scene import make_scene
+from gnnjax.training.weights import default_weights, load_network
 from tests.fine_scan import collides_anywhere, random_scene
 
 
@@ -174,14 +175,23 @@ def test_an_arm_of_other_geoms_is_refused(tmp_path):
             planner.plan(make_scene([], []), [0.0], [1.0])
 
 
-def test_an_arm_of_six_joints_plans_with_the_network_for_seven():
-    planner = load_planner("kinova_gen3", "gnn", num_nodes=100, max_roadmaps=2)
-    assert planner.robot.num_dof == 6
-    scene = make_scene([[0.5, 0.0, 0.5]], [[0.1, 0.1, 0.3]])
-    plan = planner.plan(scene, [-1.2, 0.6, -1.5, 0, -0.9, 0], [1.2, 0.6, -1.5, 0, -0.9, 0])
+def test_an_arm_of_three_joints_plans_with_the_network_for_seven(tiny_path):
+    planner = load_planner(tiny_path, "gnn", num_nodes=60, max_roadmaps=2)
+    assert planner.robot.num_dof == 3
+    assert load_network(default_weights("tiny")).num_dof == 7
+    scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
+    plan = planner.plan(scene, [-1.5, 0, 0], [1.5, 0, 0])
     assert plan.success
-    assert plan.path.shape[1] == 6
+    assert plan.path.shape[1] == 3
     assert certify_path(planner.robot, scene, plan.path)
+
+
+def test_a_scene_that_is_none_is_refused_before_anything_is_compiled(tiny_path):
+    scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
+    planner = load_planner(tiny_path, "lazysp", num_nodes=60)
+    with pytest.raises(InputError, match="existing box 0 of the scene has centers"):
+        planner.plan(scene._replace(centers=scene.centers * np.nan), [1, 0, 0], [2, 0, 0])
+    assert not planner._warm
 
 
 def test_a_network_for_fewer_joints_is_refused(tiny_path):
