@@ -42,3 +42,15 @@ def tiny_path(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "tiny.xml"
     path.write_text(TINY)
     return path
+
+
+# Files that take longest come first, so that no worker is left with one of them at the end.
+_LONG = (
+    "notebooks experiments train ablation train_motion guided_planner mjx evaluate search".split()
+)
+
+
+def pytest_collection_modifyitems(items):
+    """Sorts files, and leaves the order of tests in them."""
+    rank = {f"test_{name}.py": number for number, name in enumerate(_LONG)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
