@@ -271,27 +271,27 @@ def test_an_arm_whose_links_meet_nothing_is_refused(tmp_path):
         load_robot(path)
 
 
-def test_flags_that_hide_contacts_do_not_hide_them_from_the_c_engine(tmp_path):
-    option = '<option><flag contact="disable"/></option>'
-    path = written(tmp_path, lambda t: t.replace("<default>", option + "<default>"))
-    robot = load_robot(path)
+def contacts_with_a_box_at_the_tip(robot):
+    """How many contacts the C engine finds, at zero."""
     tip = np.asarray(tip_positions(robot, jnp.zeros((1, 3))))[0]
     world = build_world(robot, 1)
     data = mujoco.MjData(world)
     place_boxes(world, data, make_scene([tip], [[0.05] * 3], max_boxes=1))
     mujoco.mj_fwdPosition(world, data)
-    assert data.ncon
+    return data.ncon
+
+
+def test_flags_that_hide_contacts_do_not_hide_them_from_the_c_engine(tmp_path):
+    option = '<option><flag contact="disable"/></option>'
+    path = written(tmp_path, lambda t: t.replace("<default>", option + "<default>"))
+    robot = load_robot(path)
+    assert contacts_with_a_box_at_the_tip(robot)
 
 
 def test_a_geom_with_the_last_bit_alone_meets_obstacles(tmp_path):
     bits = 'contype="-2147483648" conaffinity="-2147483648"'
     robot = load_robot(written(tmp_path, lambda t: t.replace('contype="1" conaffinity="1"', bits)))
-    tip = np.asarray(tip_positions(robot, jnp.zeros((1, 3))))[0]
-    world = build_world(robot, 1)
-    data = mujoco.MjData(world)
-    place_boxes(world, data, make_scene([tip], [[0.05] * 3], max_boxes=1))
-    mujoco.mj_fwdPosition(world, data)
-    assert data.ncon
+    assert contacts_with_a_box_at_the_tip(robot)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Robots: joint limits, kinematic constants and collision geometry, read from MJCF.
 
 Everything here is NumPy, computed once when a robot is loaded. The arrays of `Robot` are constants
-from which `kinematics.py` and `collision.py` generate their kernels.
+from which `kinematics.py` and `collision/fused.py` generate their kernels.
 
 Scenes are given in the frame of the arm's base, wherever the MJCF puts that in its world. So the
 MJCF is read with its world moved to the base (`mjcf.py`), and from there on, in every kernel, in

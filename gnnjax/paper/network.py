@@ -190,7 +190,7 @@ class GuidanceNetwork(nnx.Module):
             scene: the obstacles.
             max_edges: room for directed edges; edges beyond it are ignored. All slots if None,
                 which is always enough but slow, as most slots are padding.
-            point_distances: from `workspace.py`; needed if the network has `workspace_points`.
+            point_distances: from `guide/view.py`; needed if the network has `workspace_points`.
         """
         if self.workspace_points and point_distances is None:
             raise ValueError("the network reads distances of the arm; give point_distances")

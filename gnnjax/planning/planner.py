@@ -192,6 +192,9 @@ class Planner:
             SHORTEN: self.strategy.shorten is not None,
         }
         parts = [part for part, is_wanted in wanted.items() if is_wanted]
+        # Caches do not keep threads from making the same functions twice, of which one is kept.
+        self._compiled(shape[2])
+        base_clear(self.robot, scene)
         with ThreadPoolExecutor() as pool:  # side by side: 39 s instead of 52 s on two cores
             list(pool.map(functools.partial(self._warm_up, scene, shape), parts))
 
