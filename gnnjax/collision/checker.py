@@ -42,12 +42,14 @@ class Checker(NamedTuple):
 
     `clearance(scene, q [*batch D]) -> [*batch]` m, positive when clear of boxes and itself.
     `check_configurations(scene, nodes [B D]) -> [B]`, true where valid.
+    `check_each(scenes [P], owner [B], nodes [B D]) -> [B]`, each in a scene of its own.
     `check_edges(scene, starts [E D], ends [E D]) -> EdgeChecks [E]`; tests the configurations
     between the ends, which the caller has tested as nodes.
     """
 
     clearance: Callable[[Scene, jax.Array], jax.Array]
     check_configurations: Callable[[Scene, jax.Array], jax.Array]
+    check_each: Callable[[Scene, jax.Array, jax.Array], jax.Array]
     check_edges: Callable[[Scene, jax.Array, jax.Array], EdgeChecks]
 
 
@@ -71,19 +73,26 @@ def make_checker(
             too fine for the arm's joint ranges.
     """
     if backend == "fused":
-        clearance, collision_free = fused_functions(robot, axis_aligned)
+        functions = fused_functions(robot, axis_aligned)
     elif backend == "mjx":
         from gnnjax.collision.mjx import mjx_functions
 
-        clearance, collision_free = mjx_functions(robot)
+        functions = mjx_functions(robot)
     else:
         raise InputError(f"no collision backend {backend!r}; there are 'fused' and 'mjx'")
     lower, upper = robot.joint_lower, robot.joint_upper
 
-    def check_configurations(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
+    def inside_limits(nodes: jax.Array) -> jax.Array:
         # NaN fails these comparisons, so that it can never count as valid.
-        inside = jnp.all((nodes >= lower) & (nodes <= upper), axis=-1)
-        return inside & collision_free(scene, nodes)
+        return jnp.all((nodes >= lower) & (nodes <= upper), axis=-1)
+
+    def check_configurations(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
+        return inside_limits(nodes) & functions.collision_free(scene, nodes)
+
+    def check_each(
+        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
+    ) -> Bool[Array, " B"]:
+        return inside_limits(nodes) & functions.collision_free_each(scenes, owner, nodes)
 
     most_intervals = int(np.ceil(np.linalg.norm(robot.joint_range) / resolution)) + 1
     if most_intervals > _MOST_INTERVALS:
@@ -98,7 +107,7 @@ def make_checker(
     ) -> EdgeChecks:
         return _check_edges(check_configurations, order, resolution, scene, starts, ends)
 
-    return Checker(clearance, check_configurations, check_edges)
+    return Checker(functions.clearance, check_configurations, check_each, check_edges)
 
 
 def bisection_order(max_intervals: int) -> np.ndarray:

@@ -5,11 +5,12 @@ the outcome. `boxes_clear` tests them, once a scene.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.kinematics import (
     WORLD,
@@ -30,12 +31,11 @@ from gnnjax.scene.shapes import for_every_kind
 # Squared distance of a segment to an obstacle, seen from the obstacle.
 _SQUARED = for_every_kind("fused kernel", box=segment_box_squared)
 
-# Geometry pairs in one pass of the fused kernel. The compiler turns a pass into a single loop over
-# the batch. It splits what exceeds 2,000 operations into functions, and where it fails to join them
-# again, the loop runs several times slower.
-_BOX_PAIRS_A_PASS = 250
+# Pairs of the arm's own geometry in one pass of the fused kernel. The compiler turns a pass into a
+# single loop over the batch. It splits what exceeds 2,000 operations into functions, and where it
+# fails to join them again, the loop runs several times slower.
 _SELF_PAIRS_A_PASS = 600
-_FAR = 1e6  # m; where padding boxes are
+FAR = 1e6  # m; where boxes are that do not exist
 
 
 def boxes_clear(
@@ -98,10 +98,41 @@ def _segments(
     return segments
 
 
-def fused_functions(
-    robot: Robot, axis_aligned: bool
-) -> tuple[Callable[[Scene, jax.Array], jax.Array], Callable[[Scene, jax.Array], jax.Array]]:
-    """Builds the functions `clearance` and `collision_free` of a `Checker` of fused kernels.
+class CollisionFunctions(NamedTuple):
+    """What a backend is; see `Checker`."""
+
+    clearance: Callable[[Scene, jax.Array], jax.Array]
+    collision_free: Callable[[Scene, jax.Array], jax.Array]
+    collision_free_each: Callable[[Scene, jax.Array, jax.Array], jax.Array]
+
+
+class _Boxes(NamedTuple):
+    """What a pass needs of M boxes: the same for all configurations, or each its own (`*batch`)."""
+
+    origins: Float[Array, "M 3 *batch"]  # of the base, seen from the box
+    rotations: Float[Array, "M 3 3 *batch"] | None  # base to box; None: none is rotated
+    half_extents: Float[Array, "M 3 *batch"]
+    num: Int[Array, ""]  # passes: none after the last box that exists
+
+
+def _boxes(scene: Scene, axis_aligned: bool) -> _Boxes:
+    """The boxes of a scene, or of P scenes; then `*batch` comes first and is moved by `_each`."""
+    mask = scene.mask
+    # Boxes that do not exist are far away.
+    origins, rotations = -jnp.where(mask[..., None], scene.centers, FAR), None
+    if not axis_aligned:
+        rotations = rotation_matrices(scene.quats).swapaxes(-1, -2)
+        origins = jnp.sum(rotations * origins[..., None, :], axis=-1)
+    return _Boxes(origins, rotations, scene.half_extents, last_box(mask))
+
+
+def last_box(mask: Bool[Array, "*batch M"]) -> Int[Array, ""]:
+    """How many boxes have to be looked at: none after the last that exists in any scene."""
+    return jnp.max(jnp.where(mask, jnp.arange(1, mask.shape[-1] + 1), 0), initial=0)
+
+
+def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
+    """Builds the functions of a `Checker` of fused kernels.
 
     Args:
         robot: the arm.
@@ -113,10 +144,6 @@ def fused_functions(
     require_round_geoms(robot)
     radii = robot.geom_radii.tolist()
     moving = np.flatnonzero(moved_by_joint(robot)).tolist()
-    # A capsule takes about as much code as eight spheres.
-    work = sum(8 if robot.geom_types[g] == CAPSULE else 1 for g in moving)
-    # Rotated boxes share no work, so nothing is gained by taking several at a time.
-    most_boxes_a_pass = max(1, _BOX_PAIRS_A_PASS // max(1, work)) if axis_aligned else 1
     num_self = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
     self_parts = np.array_split(robot.self_pairs, max(1, num_self))
 
@@ -125,20 +152,14 @@ def fused_functions(
         # one. NaN configurations are refused by the joint limits.
         return jnp.where(a < b, a, b)
 
-    def box_pass(joints, origins, rotations, half_extents, gap):
-        # Kinematics in the frame of each box are less work than moving every sphere there. Boxes
-        # that are not rotated share most of it, which the compiler finds out.
-        if rotations is None:
-            rotations = [WORLD[1]] * len(origins)
-        bases = [
-            (list(o), [list(row) for row in r]) for o, r in zip(origins, rotations, strict=True)
-        ]
-        views = [_segments(robot, joints, base) for base in bases]
+    def box_pass(joints, origin, rotation, half_extents, gap):
+        # Kinematics in the frame of the box are less work than moving every sphere there.
+        turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
+        segments = _segments(robot, joints, (list(origin), turned))
         smallest = jnp.full(joints.values.shape[1:], jnp.inf, joints.values.dtype)
         for g in moving:
-            for view, extents in zip(views, half_extents, strict=True):
-                squared = _SQUARED["box"](*view[g], list(extents))
-                smallest = smaller(gap(squared, radii[g]), smallest)
+            squared = _SQUARED["box"](*segments[g], list(half_extents))
+            smallest = smaller(gap(squared, radii[g]), smallest)
         return smallest
 
     def self_pass(joints, pairs, gap):
@@ -149,34 +170,21 @@ def fused_functions(
             smallest = smaller(gap(squared, radii[i] + radii[j]), smallest)
         return smallest
 
-    def smallest_gap(scene: Scene, q: jax.Array, gap, worth_going_on) -> jax.Array:
-        boxes_a_pass = max(1, min(most_boxes_a_pass, len(scene.mask)))
-        # Padding boxes go far away, and to the end where they are skipped altogether.
-        order = jnp.argsort(~scene.mask)
-        origins, rotations = -jnp.where(scene.mask[:, None], scene.centers, _FAR)[order], None
-        if not axis_aligned:
-            rotations = rotation_matrices(scene.quats)[order].swapaxes(-1, -2)
-            origins = jnp.sum(rotations * origins[:, None], axis=-1)
-        pad = -len(scene.mask) % boxes_a_pass
-        origins = jnp.pad(origins, ((0, pad), (0, 0)), constant_values=_FAR)
-        half_extents = jnp.pad(scene.half_extents[order], ((0, pad), (0, 0)))
-        num_passes = (scene.mask.sum() + boxes_a_pass - 1) // boxes_a_pass
+    def smallest_gap(boxes: _Boxes, q: jax.Array, gap, worth_going_on) -> jax.Array:
         joints = joint_terms(robot, q)
 
+        # One box a pass. With several, the compiler finds out what they share and the kernel is a
+        # sixth faster, but it takes three times as long to compile.
         def one_pass(i, smallest):
             # The barrier keeps the compiler from moving the kinematics out of the loop, which
             # would send every sphere's coordinates through memory: three times slower.
             fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
-
-            def part(array):
-                return jax.lax.dynamic_slice_in_dim(array, i * boxes_a_pass, boxes_a_pass)
-
             # The rotations may be None.
-            origin, rotation, extents = jax.tree.map(part, (origins, rotations, half_extents))
-            return smaller(box_pass(fresh, origin, rotation, extents, gap), smallest)
+            box = jax.tree.map(lambda x: x[i], tuple(boxes[:3]))
+            return smaller(box_pass(fresh, *box, gap), smallest)
 
         smallest = jnp.full(q.shape[:-1], jnp.inf, q.dtype)
-        smallest = jax.lax.fori_loop(0, num_passes, one_pass, smallest)
+        smallest = jax.lax.fori_loop(0, boxes.num, one_pass, smallest)
         for part in self_parts:
 
             def self_turn(_, smallest, part=part):
@@ -188,18 +196,27 @@ def fused_functions(
             smallest = jax.lax.fori_loop(0, turns, self_turn, smallest)
         return smallest
 
+    def is_free(boxes: _Boxes, q: jax.Array) -> jax.Array:
+        # Squares compare like distances and need no root.
+        gaps = smallest_gap(boxes, q, lambda squared, reach: squared - reach**2, lambda g: g > 0)
+        return gaps > 0
+
     def clearance(scene: Scene, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
         def gap(squared, reach):
             return jnp.sqrt(squared) - reach
 
-        return smallest_gap(scene, q, gap, lambda gaps: gaps == gaps)
+        return smallest_gap(_boxes(scene, axis_aligned), q, gap, lambda gaps: gaps == gaps)
 
     def collision_free(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
-        # Squares compare like distances and need no root.
-        gaps = smallest_gap(
-            scene, nodes, lambda squared, reach: squared - reach**2, lambda g: g > 0
-        )
-        return gaps > 0
+        return is_free(_boxes(scene, axis_aligned), nodes)
+
+    def collision_free_each(
+        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
+    ) -> Bool[Array, " B"]:
+        own = _boxes(jax.tree.map(lambda x: x[owner], scenes), axis_aligned)
+        # One array a component, as everything else in a pass.
+        columns = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), tuple(own[:3]))
+        return is_free(_Boxes(*columns, own.num), nodes)
 
     # Traced once a shape, however often a function that is compiled around it asks.
-    return clearance, jax.jit(collision_free)
+    return CollisionFunctions(clearance, jax.jit(collision_free), jax.jit(collision_free_each))

@@ -27,12 +27,12 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
 from gnnjax.arm.robot import CAPSULE, SPHERE, Robot
 from gnnjax.collision.components import in_components
-from gnnjax.collision.fused import moved_by_joint
+from gnnjax.collision.fused import FAR, CollisionFunctions, last_box, moved_by_joint
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
@@ -61,10 +61,8 @@ _OBSTACLES = for_every_kind("MJX backend", box=_Kind(int(mujoco.mjtGeom.mjGEOM_B
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
-def mjx_functions(
-    robot: Robot,
-) -> tuple[Callable[[Scene, jax.Array], jax.Array], Callable[[Scene, jax.Array], jax.Array]]:
-    """Builds the functions `clearance` and `collision_free` of a `Checker` on MJX.
+def mjx_functions(robot: Robot) -> CollisionFunctions:
+    """Builds the functions of a `Checker` on MJX.
 
     `clearance(scene, q [*batch D]) -> [*batch]` m is the least distance over MJX's contacts. Its
     sign is right; its size, where positive, is none to rely on: MJX sets the distance of a sphere
@@ -90,20 +88,24 @@ def mjx_functions(
     in_bodies = _frames_in_bodies(robot)
 
     def smallest_distance(scene: Scene, q: jax.Array, *, only_sign: bool) -> jax.Array:
+        """Of a scene, or of a scene for each configuration, `[B M ...]`."""
         place = _placer(robot, in_bodies, q)
         placed = [place(rows) for rows, _ in with_boxes]
-        # Existing boxes first, so that the others are left out.
-        order = jnp.argsort(~scene.mask)
-        parts = scene.centers[order], rotation_matrices(scene.quats)[order]
-        boxes = (*parts, scene.half_extents[order])
+        centers = jnp.where(scene.mask[..., None], scene.centers, FAR)
+        boxes = centers, rotation_matrices(scene.quats), scene.half_extents
+        if scene.mask.ndim > 1:
+            boxes = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), boxes)
+        num = last_box(scene.mask)
 
         def going_on(state: tuple[jax.Array, jax.Array]) -> jax.Array:
             box, smallest = state
-            return (box < scene.mask.sum()) & (jnp.any(smallest > 0) | (not only_sign))
+            return (box < num) & (jnp.any(smallest > 0) | (not only_sign))
 
         def next_box(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             box, smallest = state
-            other = _Geoms(*(_components(part[box]) for part in boxes))
+            other = _Geoms(
+                *(_components(part[box], axes) for part, axes in zip(boxes, (1, 2, 1), strict=True))
+            )
             for geoms, (_, distance) in zip(placed, with_boxes, strict=True):
                 smallest = jnp.minimum(smallest, distance(geoms, other))
             return box + 1, smallest
@@ -121,8 +123,13 @@ def mjx_functions(
     def collision_free(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
         return smallest_distance(scene, nodes, only_sign=True) > 0
 
+    def collision_free_each(
+        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
+    ) -> Bool[Array, " B"]:
+        return collision_free(jax.tree.map(lambda x: x[owner], scenes), nodes)
+
     # Traced once a shape, however often a function that is compiled around it asks.
-    return clearance, jax.jit(collision_free)
+    return CollisionFunctions(clearance, jax.jit(collision_free), jax.jit(collision_free_each))
 
 
 def _kinds(robot: Robot) -> list[_Kind]:
