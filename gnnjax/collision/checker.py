@@ -94,13 +94,7 @@ def make_checker(
     ) -> Bool[Array, " B"]:
         return inside_limits(nodes) & functions.collision_free_each(scenes, owner, nodes)
 
-    most_intervals = int(np.ceil(np.linalg.norm(robot.joint_range) / resolution)) + 1
-    if most_intervals > _MOST_INTERVALS:
-        raise InputError(
-            f"resolution is {resolution}, which cuts the longest edge of {robot.name} into "
-            f"{most_intervals} pieces; at most {_MOST_INTERVALS} are supported, choose a larger one"
-        )
-    order = bisection_order(most_intervals)
+    order = bisection_order(most_intervals(robot, resolution))
 
     def check_edges(
         scene: Scene, starts: Float[Array, "E D"], ends: Float[Array, "E D"]
@@ -108,6 +102,21 @@ def make_checker(
         return _check_edges(check_configurations, order, resolution, scene, starts, ends)
 
     return Checker(functions.clearance, check_configurations, check_each, check_edges)
+
+
+def most_intervals(robot: Robot, resolution: float) -> int:
+    """Into how many intervals the longest edge of an arm is cut.
+
+    Raises:
+        InputError: too many.
+    """
+    most = int(np.ceil(np.linalg.norm(robot.joint_range) / resolution)) + 1
+    if most > _MOST_INTERVALS:
+        raise InputError(
+            f"resolution is {resolution}, which cuts the longest edge of {robot.name} into "
+            f"{most} pieces; at most {_MOST_INTERVALS} are supported, choose a larger one"
+        )
+    return most
 
 
 def bisection_order(max_intervals: int) -> np.ndarray:

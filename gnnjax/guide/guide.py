@@ -27,7 +27,16 @@ class Prices(NamedTuple):
 
 
 class Guide(NamedTuple):
-    """A guide for one arm. Weights are arguments, so that others need no compilation."""
+    """A guide for one arm. Weights are arguments, so that others need no compilation.
+
+    What is called inside of jit is written for one scene, but for `stored`.
+    """
 
     weights: Any  # arrays
-    prices: Callable[[Any, Any], Prices]  # `(weights, Scene) -> Prices`, inside of jit
+    # `(weights, Scene) -> reading`: what is computed once a scene, a distance field for example.
+    read: Callable[[Any, Any], Any]
+    prices: Callable[[Any, Any], Prices]  # `(weights, reading) -> Prices`
+    # Of guides that can look at all edges of a stored roadmap at once: `Roadmap -> table`, on the
+    # host, once an arm; and `(weights, readings [P], table) -> [P N K]`, nats.
+    tabulate: Callable[[Any], Any] | None = None
+    stored: Callable[[Any, Any, Any], jax.Array] | None = None

@@ -127,4 +127,4 @@ def motion_guide(robot: Robot, network: MotionNetwork) -> Guide:
     def prices(weights: Any, scene: Scene) -> Prices:
         return make_prices(nnx.merge(graphdef, weights), functools.partial(view, scene))
 
-    return Guide(weights, prices)
+    return Guide(weights, lambda weights, scene: scene, prices)

@@ -1,12 +1,16 @@
-"""Problems on their way: roadmap after roadmap is proposed and searched, until a path is certified.
+"""The engine: many problems on their way, in rounds.
 
-What a strategy's functions find (`compiled.py`) is counted, timed and certified. A path that cannot
-be certified is searched around, never returned.
+A pool of slots holds one problem each. In a round, the cheapest path of every slot by what is known
+is found, what it meets is priced, what is unknown on it is tested, all slots together in flat calls
+of one collision kernel, and what came out is learned. Problems that are through leave, and waiting
+ones take their slots. The host loop decides on a handful of numbers a slot; a lone query is a pool
+of one. What a problem's path is and what it cost does not depend on who shares its pool.
 """
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,254 +18,392 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import certify_edges
-from gnnjax.planning.compiled import Compiled
-from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.query import Plan, make_plan, path_length
-from gnnjax.planning.strategy import Strategy
+from gnnjax.collision.checker import Checker
+from gnnjax.collision.sequences import Items, Outcome, SequenceTester
+from gnnjax.guide.guide import RISK_WEIGHT
+from gnnjax.planning.query import path_length
 from gnnjax.problems.problem import Problem
-from gnnjax.roadmap.graph import GOAL, Roadmap
-from gnnjax.search.knowledge import INVALID, Found, Knowledge
-from gnnjax.search.shorten import PATH_POINTS
+from gnnjax.roadmap.graph import GOAL, START
+from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
+from gnnjax.search.rounds import Priced, Route, cheapest_route, learn
+
+SIZES = (1, 16, 256)  # slots of a pool; one compilation each
 
 
-@dataclasses.dataclass(eq=False)
-class Attempt:
-    """The roadmaps of one attempt, and what is known of them."""
-
-    roadmaps: Roadmap
-    knowledge: Knowledge
-    later: bool
-    price: np.ndarray  # [P] nats, of the cheapest path when it was last searched; inf without one
+def size_for(num: int) -> int:
+    """The smallest pool for `num` problems, or the largest there is."""
+    return next((size for size in SIZES if num <= size), SIZES[-1])
 
 
-# What is compiled at once: the first roadmaps and their search, the later ones, the shortening.
-FIRST, LATER, SHORTEN = range(3)
+class Clock:
+    """Seconds, on a clock that stands still while something is compiled."""
 
+    def __init__(self):
+        self._waited = 0.0
 
-class Batch:
-    """P problems on their way: what was found and what it cost."""
-
-    def __init__(
-        self,
-        robot: Robot,
-        strategy: Strategy,
-        options: PlannerOptions,
-        compiled: Compiled,
-        problems: Problem,
-        seed: int,
-        need: Callable[[int], None] | None = None,
-    ):
-        """Args:
-        robot: the arm.
-        strategy: how a problem is planned.
-        options: limits.
-        compiled: the strategy's functions.
-        problems: `[P, ...]`.
-        seed: of the roadmaps.
-        need: called with a part of what is compiled before it is run, in nobody's time.
-        """
-        self.robot, self.strategy, self.options = robot, strategy, options
-        self.compiled, self.problems, self.seed = compiled, problems, seed
-        self.need, self._waited = need, 0.0
-        num = len(problems.start)
-        self.scenes = jax.tree.map(np.asarray, problems.scene)
-        self.active = np.ones(num, bool)
-        self.paths: list[np.ndarray | None] = [None] * num
-        self.sampling_checks = np.full(num, 2)  # start and goal
-        self.edge_checks, self.search_checks, self.roadmaps = np.zeros((3, num), int)
-        self.planning_time, self.total_time = np.zeros((2, num))
-
-    def run(self) -> list[Plan]:
-        """Plans all problems."""
-        kept: list[Attempt] = []
-        for number in range(self.options.max_roadmaps):
-            if not self._going_on().any():
-                break
-            attempt = self._begin(number)
-            self._work(attempt, self.strategy.give_up)
-            if self.strategy.give_up < np.inf:
-                kept.append(attempt)
-        # No roadmap had a likely path: now the unlikely ones, each problem's least unlikely first.
-        order = np.argsort([attempt.price for attempt in kept], axis=0, kind="stable")
-        for chosen in order:
-            for number, attempt in enumerate(kept):
-                rows = chosen == number
-                if (rows & self._going_on()).any():
-                    self._work(attempt, np.inf, rows)
-        return self._plans()
-
-    def warm_up(self, part: int) -> None:
-        """Compiles a part of what planning needs, and plans nothing.
-
-        The searches of the first and of the later roadmaps, and the shortening, each hold the
-        collision kernel twice, for nodes and for edges, and a guide's prices; unrolled, these are
-        nine tenths of what XLA compiles, 15 s each. So each is compiled when a query comes to it:
-        half of the queries need the first alone.
-        """
-        nobody = self.active = np.zeros(len(self.active), bool)
-        if part == SHORTEN:
-            num, num_dof = self.problems.start.shape
-            points = jnp.zeros((num, PATH_POINTS, num_dof))
-            self._shorten_once(points, np.zeros(_path_status(num), np.int8), nobody)
-            return
-        self._search(self._begin(int(part == LATER)), nobody, 1, self.strategy.give_up)
-
-    def _now(self, part: int | None = None) -> float:
-        """Seconds on a clock that stands still while a part is compiled."""
-        begin = time.perf_counter()
-        if part is not None and self.need is not None:
-            self.need(part)
-        self._waited += time.perf_counter() - begin
+    def now(self) -> float:
+        """The time."""
         return time.perf_counter() - self._waited
 
-    def _going_on(self) -> np.ndarray:
-        """Which problems are still open and have time left, `[P]`."""
-        return self.active & (self.total_time <= self.options.time_limit)
+    def call(self, function: Any, *args: Any) -> Any:
+        """Calls a jitted function; a call that compiles it takes no time."""
+        before, known = time.perf_counter(), function._cache_size()
+        result = function(*args)
+        if function._cache_size() > known:
+            jax.block_until_ready(result)
+            self._waited += time.perf_counter() - before
+        return result
 
-    def _begin(self, number: int) -> Attempt:
-        """The roadmaps of an attempt."""
-        active = self._going_on()
-        later = number > 0 and self.strategy.has_later
-        begin = self._now(LATER if later else FIRST)
-        key = jax.random.fold_in(jax.random.key(self.seed), number)
-        stored = self.strategy.stored(self.seed, number)
-        propose = self.compiled.later if later else self.compiled.first
-        sampled, knowledge = jax.block_until_ready(
-            propose(self.strategy.weights, stored, key, self.problems, active)
-        )
-        taken = (self._now() - begin) / max(1, active.sum())
-        self.total_time += np.where(active, taken, 0)
-        self.sampling_checks += np.where(active, sampled.num_checks, 0)
-        self.roadmaps += active
-        return Attempt(sampled.roadmap, knowledge, later, np.full(len(active), np.inf))
 
-    def _work(self, attempt: Attempt, max_price: float, rows: np.ndarray | bool = True) -> None:
-        """Searches roadmaps until paths are certified, or too dear, or there are none."""
-        begin, open_ = self._now(), self._going_on() & rows
-        worked_on = open_.copy()
-        if self.strategy.shorten:
-            # Checked are single edges, which cannot be shortened. Longer paths are shortened first.
-            found = self._search(attempt, open_, 1, max_price)
-            likely = open_ & np.asarray(found.success) & (np.asarray(found.price) <= max_price)
-            single = np.asarray(found.path)[:, 1] == GOAL
-            self._certify(attempt, found, likely & single)
-            self._shorten(found, likely & ~single)
-            # What had no likely path has none when it is searched again.
-            open_ &= self.active & likely
-        while open_.any():
-            found = self._search(attempt, open_, attempt.roadmaps.nodes.shape[1], max_price)
-            open_ &= np.asarray(found.success)
-            certified = self._certify(attempt, found, open_)
-            if self.strategy.shorten:
-                self._shorten(found, certified & (np.asarray(found.path)[:, 1] != GOAL))
-            open_ &= ~certified
-        taken = (self._now() - begin) / max(1, worked_on.sum())
-        self.planning_time += np.where(worked_on, taken, 0)
-        self.total_time += np.where(worked_on, taken, 0)
+@jax.jit
+def _cheapest_routes(priced: Priced) -> Route:
+    return jax.vmap(cheapest_route)(priced)
 
-    def _search(
-        self, attempt: Attempt, rows: np.ndarray, longest_checked: int, max_price: float
-    ) -> Found:
-        found, attempt.knowledge = jax.block_until_ready(
-            self.compiled.search(
-                self.strategy.weights,
-                attempt.roadmaps,
-                self.problems.scene,
-                attempt.knowledge,
-                np.int32(longest_checked),
-                np.float32(max_price),
-                rows,
-                later=attempt.later,
-            )
-        )
-        self._count(found, rows)
-        attempt.price = np.where(rows, found.price, attempt.price)
+
+@jax.jit
+def _learn(priced: Priced, route: Route, nodes: jax.Array, edges: jax.Array) -> Knowledge:
+    return jax.vmap(learn)(priced, route, nodes, edges)
+
+
+def _place(pool: Any, new: Any, rows: jax.Array) -> Any:
+    """Puts problems into slots; rows beyond the last are dropped."""
+    return jax.tree.map(lambda x, y: x.at[rows].set(y, mode="drop"), pool, new)
+
+
+_place_in = jax.jit(_place, donate_argnums=0)
+
+
+@jax.jit
+def _take(pool: Any, rows: jax.Array) -> Any:
+    return jax.tree.map(lambda x: x[rows], pool)
+
+
+class Tested(NamedTuple):
+    """What a round's tests found out, by slot."""
+
+    nodes: np.ndarray  # [S N] int8, by step of the route
+    edges: np.ndarray  # [S N] int8
+    outcome: Outcome  # of the slots that were tested, in order
+
+
+def items_of(route: Route, rows: np.ndarray, owner: np.ndarray, most_edges: np.ndarray | None = None):
+    """What has to be tested of the routes of some slots: nodes first, then edges, least likely
+    first.
+
+    Returns:
+        The items, and of each its row in `rows` and its step along the route.
+    """
+    row, step = np.nonzero(route.node_unknown[rows])
+    edge_row, edge_step = np.nonzero(route.edge_unknown[rows])
+    price = route.edge_price[rows][edge_row, edge_step]
+    order = np.lexsort((edge_step, -price, edge_row))
+    edge_row, edge_step = edge_row[order], edge_step[order]
+    if most_edges is not None:
+        first = np.searchsorted(edge_row, np.arange(len(rows)))
+        kept = np.arange(len(edge_row)) - first[edge_row] < most_edges[edge_row]
+        edge_row, edge_step = edge_row[kept], edge_step[kept]
+    motion = np.repeat([False, True], [len(row), len(edge_row)])
+    row, step = np.concatenate([row, edge_row]), np.concatenate([step, edge_step])
+    order = np.lexsort((motion, row))  # stable
+    row, step, motion = row[order], step[order], motion[order]
+    points = route.points[rows]
+    last = points.shape[1] - 1
+    ends = points[row, np.minimum(step + 1, last)]
+    return Items(row, owner[row], points[row, step], ends, motion), row, step
+
+
+def verdicts(items: Items, outcome: Outcome) -> np.ndarray:
+    """Of each item: VALID, INVALID, or UNKNOWN where it was not come to."""
+    first = np.searchsorted(items.sequence, np.arange(len(outcome.num_valid)))
+    at = np.arange(len(items.sequence)) - first[items.sequence]
+    limit = outcome.num_valid[items.sequence]
+    found = np.where(at < limit, VALID, UNKNOWN)
+    return np.where((at == limit) & outcome.refuted[items.sequence], INVALID, found).astype(np.int8)
+
+
+class Search:
+    """A pool of roadmaps under lazy search."""
+
+    def __init__(self, size: int, clock: Clock, tester: SequenceTester, scenes: Any):
+        self.size, self.clock, self.tester, self.scenes = size, clock, tester, scenes
+        self.ids = np.full(size, -1)
+        self.priced: Priced | None = None
+        self.reading: Any = None
+
+    def enter(self, rows: np.ndarray, ids: np.ndarray, entered: tuple[Priced, Any]) -> None:
+        """Puts problems into slots.
+
+        Args:
+            rows: `[B]` slots, as many as problems came in; padded up to a size.
+            ids: `[B]`.
+            entered: their roadmaps and readings, `[size_for(B), ...]`.
+        """
+        num = len(entered[0].price)
+        at = np.full(num, self.size)
+        at[: len(rows)] = rows
+        if self.priced is None:
+            blank = jax.tree.map(lambda x: jnp.zeros((self.size, *x.shape[1:]), x.dtype), entered)
+            self.priced, self.reading = blank
+        pool = self.priced, self.reading
+        self.priced, self.reading = self.clock.call(_place_in, pool, entered, at)
+        self.ids[rows] = ids
+
+    def route(self) -> tuple[Route, Route]:
+        """The cheapest path of every slot, on the device and on the host."""
+        route = self.clock.call(_cheapest_routes, self.priced)
+        return route, jax.tree.map(np.asarray, route)
+
+    def test(self, host: Route, rows: np.ndarray, most_edges: np.ndarray | None = None) -> Tested:
+        """Tests what is unknown on the paths of some slots."""
+        items, row, step = items_of(host, rows, self.ids[rows], most_edges)
+        outcome = self.tester(self.scenes, items, len(rows))
+        found = verdicts(items, outcome)
+        nodes, edges = np.zeros((2, *host.path.shape), np.int8)
+        nodes[rows[row[~items.motion]], step[~items.motion]] = found[~items.motion]
+        edges[rows[row[items.motion]], step[items.motion]] = found[items.motion]
+        return Tested(nodes, edges, outcome)
+
+    def learn(self, route: Route, nodes: np.ndarray, edges: np.ndarray) -> None:
+        """Notes what came out."""
+        assert self.priced is not None
+        known = self.clock.call(_learn, self.priced, route, nodes, edges)
+        self.priced = self.priced._replace(known=known)
+
+
+@dataclasses.dataclass
+class Kept:
+    """What is known of a roadmap whose best path is too unlikely, for later."""
+
+    price: float  # nats, of that path
+    number: int
+    known: Knowledge
+
+
+class Run:
+    """A batch of problems on its way."""
+
+    def __init__(self, planner: Any, problems: Problem, seed: int, pool: int, clock: Clock):
+        self.strategy, self.options = planner.strategy, planner.options
+        self.robot, self.tester, self.clock, self.seed = planner.robot, planner.tester, clock, seed
+        self.pool = pool
+        num = len(problems.start)
+        # Few shapes: the kernel is compiled for a number of scenes.
+        padded = np.minimum(np.arange(16 ** int(np.ceil(np.log(num) / np.log(16)))), num - 1)
+        self.problems = jax.tree.map(np.asarray, problems)
+        self.scenes = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[padded]), problems.scene)
+        self.paths: list[np.ndarray | None] = [None] * num
+        self.direct = np.zeros(num, np.int8)
+        self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
+        self.planning_time, self.total_time = np.zeros((2, num))
+        self.kept: list[list[Kept]] = [[] for _ in range(num)]
+        self.spent: dict[str, float] = {}
+
+    def run(self) -> None:
+        """Plans all problems."""
+        every = np.arange(len(self.paths))
+        for first in range(0, len(every), 4 * self.pool):
+            self._straight(every[first : first + 4 * self.pool])
+        for number in range(self.options.max_roadmaps):
+            open_ = self._open(every)
+            if not len(open_):
+                return
+            self._attempt(open_, number, self.strategy.give_up)
+        # No roadmap had a likely path: now the unlikely ones, each problem's least unlikely first.
+        for turn in range(self.options.max_roadmaps):
+            open_ = [i for i in self._open(every) if len(self.kept[i]) > turn]
+            for i in open_:
+                if turn == 0:
+                    self.kept[i].sort(key=lambda kept: kept.price)
+            chosen = np.array([self.kept[i][turn].number for i in open_], int)
+            for number in np.unique(chosen):
+                ids = np.array(open_)[chosen == number]
+                known = [self.kept[i][turn].known for i in ids]
+                self._attempt(ids, int(number), np.inf, known)
+
+    def _open(self, ids: np.ndarray) -> np.ndarray:
+        late = self.total_time > self.options.time_limit
+        return np.array([i for i in ids if self.paths[i] is None and not late[i]], int)
+
+    def _spend(self, what: str, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
+        """Shares out the time since `begin`."""
+        now = self.clock.now()
+        share = (now - begin) / max(1, len(ids))
+        self.total_time[ids] += share
+        if planning:
+            self.planning_time[ids] += share
+        self.spent[what] = self.spent.get(what, 0.0) + now - begin
+        return now
+
+    def _straight(self, ids: np.ndarray) -> None:
+        """Tests the straight lines from starts to goals."""
+        begin = self.clock.now()
+        starts, goals = self.problems.start[ids], self.problems.goal[ids]
+        items = Items(np.arange(len(ids)), ids, starts, goals, np.ones(len(ids), bool))
+        outcome = self.tester(self.scenes, items, len(ids))
+        self._count(ids, outcome)
+        self.direct[ids] = INVALID
+        free = ~outcome.refuted
+        lines = [np.stack([self.problems.start[i], self.problems.goal[i]]) for i in ids[free]]
+        begin = self._spend("straight", ids, begin)
+        self._certify(ids[free], lines)
+        self._spend("certify", ids, begin)
+
+    def _count(self, ids: np.ndarray, outcome: Outcome) -> None:
+        self.edge_checks[ids] += outcome.num_edges
+        self.search_checks[ids] += outcome.num_checks
+
+    def _certify(self, ids: Sequence[int] | np.ndarray, paths: list[np.ndarray]) -> list[np.ndarray]:
+        """Keeps paths that are certified and shorter than what there is.
+
+        Returns:
+            Of each path, which of its edges are certified.
+        """
+        found = []
+        for i, path in zip(ids, paths, strict=True):
+            scene = jax.tree.map(lambda x, i=i: x[i], self.problems.scene)
+            certified = certify_edges(self.robot, scene, path[:-1], path[1:])
+            found.append(certified)
+            known = self.paths[i]
+            if certified.all() and (known is None or path_length(path) < path_length(known)):
+                self.paths[i] = path
         return found
 
-    def _shorten(self, found: Found, rows: np.ndarray) -> None:
-        """Shortens the paths of some problems, and keeps what is certified and shorter."""
-        status = np.zeros(_path_status(len(rows)), np.int8)
-        rows = rows.copy()
-        if rows.any():
-            self._now(SHORTEN)
-        while rows.any():
-            short, known = self._shorten_once(found.points, status, rows)
-            rows &= np.asarray(short.success)
-            status = np.array(known)
-            for i in np.flatnonzero(rows):
-                walked, certified = self._keep_if_certified(int(i), short)
-                rows[i] = not certified.all()
-                for step in np.flatnonzero(~certified):
-                    ends = walked[[step, step + 1]]
-                    status[i, ends, ends[::-1]] = INVALID
+    def _attempt(
+        self,
+        ids: np.ndarray,
+        number: int,
+        max_price: float,
+        known: list[Knowledge] | None = None,
+    ) -> None:
+        """One roadmap for each of some problems, searched in a pool with refills."""
+        size = size_for(min(len(ids), self.pool))
+        search = Search(size, self.clock, self.tester, self.scenes)
+        likely = np.zeros(size, bool)  # not checked as it is, but shortened first
+        turns = np.zeros(size, int)
+        waiting = 0
+        if known is None:
+            self.roadmaps[ids] += 1
+        while waiting < len(ids) or (search.ids >= 0).any():
+            free = np.flatnonzero(search.ids < 0)
+            if waiting < len(ids) and (len(free) >= max(1, size // 8)):
+                begin = self.clock.now()
+                entering = np.arange(waiting, min(waiting + len(free), len(ids)))
+                rows = free[: len(entering)]
+                self._enter(search, rows, ids, entering, number, known)
+                likely[rows], turns[rows] = known is None and self.strategy.shorten, 0
+                waiting += len(entering)
+                begin = self._spend("enter", ids[entering], begin, planning=False)
+            self._round(search, number, likely, turns, max_price)
 
-    def _shorten_once(
-        self, points: jax.Array | None, status: np.ndarray, rows: np.ndarray
-    ) -> tuple[Found, jax.Array]:
-        short, known = jax.block_until_ready(
-            self.compiled.shorten(self.strategy.weights, points, self.problems.scene, status, rows)
+    def _enter(self, search, rows, ids, entering, number, known) -> None:
+        num = size_for(len(entering))
+        padded = ids[np.resize(entering, num)]
+        problems = jax.tree.map(lambda x: x[padded], self.problems)
+        priced, reading = self.strategy.enter(
+            self.clock.call, problems, self.direct[padded], self.seed, number
         )
-        self._count(short, rows)
-        return short, known
+        if known is not None:
+            earlier = [known[i] for i in np.resize(entering, num)]
+            priced = priced._replace(known=jax.tree.map(lambda *x: np.stack(x), *earlier))
+        search.enter(rows, ids[entering], (priced, reading))
 
-    def _certify(self, attempt: Attempt, found: Found, rows: np.ndarray) -> np.ndarray:
-        """Keeps the certified paths of some problems, and notes which edges are not.
+    def _round(self, search, number, likely, turns, max_price) -> None:
+        begin = self.clock.now()
+        live = np.flatnonzero(search.ids >= 0)
+        ids = search.ids[live]
+        route, host = search.route()
+        begin = self._spend("route", ids, begin)
+        turns[live] += 1
+        self.rounds[ids] += 1
+        prices = host.edge_price[live].sum(axis=1) / RISK_WEIGHT
+        none = host.num[live] == 0
+        dear = ~none & (prices > max_price)
+        spent = turns[live] > MOST_ROUNDS
+        for row, price in zip(live[dear], prices[dear], strict=True):
+            assert search.priced is not None
+            status = jax.tree.map(lambda x, row=row: np.asarray(x[row]), search.priced.known)
+            self.kept[search.ids[row]].append(Kept(float(price), number, status))
+        search.ids[live[none | dear | spent]] = -1
+        live = live[~(none | dear | spent)]
+        long = host.num[live] > 2
+        first = live[likely[live] & long]
+        nodes, edges = np.zeros((2, *host.path.shape), np.int8)
+        if len(first):
+            found = self._shorten(search, first, host)
+            search.ids[first[found]] = -1
+            likely[first] = False
+        testing = live[~(likely[live] & long) & (search.ids[live] >= 0)]
+        testing = np.setdiff1d(testing, first)
+        if len(testing):
+            begin = self.clock.now()
+            tested = search.test(host, testing)
+            self._count(search.ids[testing], tested.outcome)
+            begin = self._spend("test", search.ids[testing], begin)
+            nodes, edges = tested.nodes, tested.edges
+            through = testing[~tested.outcome.refuted]
+            paths = [host.points[row, : host.num[row]] for row in through]
+            certified = self._certify(search.ids[through], paths)
+            begin = self._spend("certify", search.ids[through], begin)
+            good = np.array([c.all() for c in certified], bool)
+            for row, found in zip(through[~good], np.array(certified, object)[~good], strict=True):
+                edges[row, np.flatnonzero(~found)] = INVALID
+            through = through[good]
+            longer = through[host.num[through] > 2]
+            if len(longer) and self.strategy.shorten:
+                self._shorten(search, longer, host)
+            search.ids[through] = -1
+            begin = self.clock.now()
+            search.learn(route, nodes, edges)
+            self._spend("learn", search.ids[testing][search.ids[testing] >= 0], begin)
+
+    def _shorten(self, search: Search, rows: np.ndarray, host: Route) -> np.ndarray:
+        """Shortens paths in the guide's eyes, checks them, and keeps what is certified and shorter.
 
         Returns:
-            `[P]`, true where a path was kept.
+            Of each row, whether a path was kept.
         """
-        kept = np.zeros(len(rows), bool)
-        for i in np.flatnonzero(rows):
-            walked, certified = self._keep_if_certified(int(i), found)
-            kept[i] = certified.all()
-            if kept[i]:
-                continue
-            status = np.array(attempt.knowledge.status)
-            for step in np.flatnonzero(~certified):
-                for near, far in (walked[[step, step + 1]], walked[[step + 1, step]]):
-                    slots = np.asarray(attempt.roadmaps.neighbors)[i, near] == far
-                    status[i, near, slots] = INVALID
-            attempt.knowledge = attempt.knowledge._replace(status=status)
-        return kept
-
-    def _keep_if_certified(self, i: int, found: Found) -> tuple[np.ndarray, np.ndarray]:
-        """Keeps the path of problem i if it is certified, and shorter than what there is.
-
-        Returns:
-            The nodes of the path, and which of its edges are certified.
-        """
-        walked = np.asarray(found.path)[i]
-        walked = walked[walked >= 0]
-        path = np.asarray(found.waypoints)[i][: len(walked)]
-        scene = jax.tree.map(lambda x: x[i], self.scenes)
-        certified = certify_edges(self.robot, scene, path[:-1], path[1:])
-        known = self.paths[i]
-        if certified.all() and (known is None or path_length(path) < path_length(known)):
-            self.paths[i] = path
-            self.active[i] = False
-        return walked, certified
-
-    def _count(self, found: Found, rows: np.ndarray) -> None:
-        self.edge_checks += np.where(rows, found.edge_checks, 0)
-        self.search_checks += np.where(rows, found.configuration_checks, 0)
-
-    def _plans(self) -> list[Plan]:
-        return [
-            make_plan(
-                path,
-                f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe})",
-                self.robot.num_dof,
-                edge_checks=int(self.edge_checks[i]),
-                sampling_checks=int(self.sampling_checks[i]),
-                search_checks=int(self.search_checks[i]),
-                planning_time_s=float(self.planning_time[i]),
-                total_time_s=float(self.total_time[i]),
-                roadmaps=int(self.roadmaps[i]),
+        begin = self.clock.now()
+        ids = search.ids[rows]
+        num = size_for(len(rows))
+        padded = np.resize(rows, num)
+        readings = self.clock.call(_take, search.reading, padded)
+        inner = Search(num, self.clock, self.tester, self.scenes)
+        inner.priced = self.clock.call(
+            self.strategy.shortcuts, self.strategy.weights, readings, host.points[padded]
+        )
+        inner.ids[: len(rows)] = ids
+        asked, kept = np.zeros(num, int), np.zeros(num, bool)
+        jax.block_until_ready(inner.priced)
+        begin = self._spend("shortcuts", ids, begin)
+        while (inner.ids >= 0).any():
+            live = np.flatnonzero(inner.ids >= 0)
+            route, found = inner.route()
+            begin = self._spend("short route", inner.ids[live], begin)
+            gone = (found.num[live] == 0) | (
+                (asked[live] >= MOST_SHORTCUTS) & found.edge_unknown[live].any(axis=1)
             )
-            for i, path in enumerate(self.paths)
-        ]
+            inner.ids[live[gone]] = -1
+            live = live[~gone]
+            if not len(live):
+                break
+            tested = inner.test(found, live, MOST_SHORTCUTS - asked[live])
+            self._count(inner.ids[live], tested.outcome)
+            asked[live] += tested.outcome.num_edges
+            begin = self._spend("short test", inner.ids[live], begin)
+            left = found.edge_unknown[live] & (tested.edges[live] == UNKNOWN)
+            through = live[~tested.outcome.refuted & ~left.any(axis=1)]
+            paths = [found.points[row, : found.num[row]] for row in through]
+            certified = self._certify(inner.ids[through], paths)
+            begin = self._spend("short certify", inner.ids[through], begin)
+            for row, good in zip(through, certified, strict=True):
+                kept[row] = good.all()
+                tested.edges[row, np.flatnonzero(~good)] = INVALID
+                if kept[row]:
+                    inner.ids[row] = -1
+            if (inner.ids >= 0).any():
+                inner.learn(route, tested.nodes, tested.edges)
+        return kept[: len(rows)]
 
 
-def _path_status(num: int) -> tuple[int, int, int]:
-    """Shape of what is known of the path roadmaps of P problems."""
-    return num, PATH_POINTS, PATH_POINTS
+MOST_ROUNDS = 40  # of a roadmap
+MOST_SHORTCUTS = 8  # edges; what needs more is hardly ever free

@@ -19,7 +19,7 @@ from gnnjax.errors import InputError, check_seed
 from gnnjax.guide.guide import Guide
 from gnnjax.planning import strategy as strategies
 from gnnjax.planning.compiled import Compiled, compile_strategy
-from gnnjax.planning.engine import FIRST, LATER, SHORTEN, Batch
+from gnnjax.planning.batch import FIRST, LATER, SHORTEN, Batch
 from gnnjax.planning.options import PlannerOptions, check_options, make_options
 from gnnjax.planning.query import Plan, QueryPlanner, base_clear, check_query
 from gnnjax.planning.strategy import Strategy

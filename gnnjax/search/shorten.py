@@ -48,14 +48,18 @@ def spread_evenly(
         nodes: configurations.
         num: V.
     """
-    line = nodes[jnp.where(path >= 0, path, GOAL)]
+    return spread_along(nodes[jnp.where(path >= 0, path, GOAL)], num)
+
+
+def spread_along(line: Float[Array, "N D"], num: int) -> Float[Array, "V D"]:
+    """`spread_evenly` of the configurations of a path, the goal again after the last."""
     steps = jnp.linalg.norm(jnp.diff(line, axis=0), axis=-1)
     reached = jnp.concatenate([jnp.zeros(1), jnp.cumsum(steps)])
     wanted = jnp.linspace(0.0, 1.0, num)[1:-1] * reached[-1]
     piece = jnp.clip(jnp.searchsorted(reached, wanted, side="right") - 1, 0, len(steps) - 1)
     fraction = (wanted - reached[piece]) / jnp.maximum(steps[piece], 1e-9)
     between = line[piece] + fraction[:, None] * (line[piece + 1] - line[piece])
-    return jnp.concatenate([nodes[jnp.array([START, GOAL])], between])
+    return jnp.concatenate([line[jnp.array([0, -1])], between])
 
 
 def shortened(

@@ -1,0 +1,155 @@
+"""Configurations of many problems, tested together.
+
+A search wants its nodes and edges tested one after the other, until the first that does not hold.
+Here the sequences of many searches are tested side by side, a stretch of each at a time, in flat
+calls of one kernel over pairs of configuration and scene. What comes out for a sequence, and what
+is counted, is what testing it alone and one by one would give.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.checker import Checker, bisection_order, most_intervals
+from gnnjax.scene.scene import Scene
+
+# Configurations in a call; one compilation each. A lone query should not pay for a full block.
+_BLOCKS = (64, 512, 4096)
+_FIRST_STRETCH = 16  # configurations of a sequence in its first call, where many share it
+
+
+class Items(NamedTuple):
+    """What is to be tested: I configurations and motions, in the order of their sequences and
+    within them."""
+
+    sequence: np.ndarray  # [I] int, rising
+    owner: np.ndarray  # [I] int, the problem whose scene counts
+    starts: np.ndarray  # [I D] float32
+    ends: np.ndarray  # [I D] float32; the ends of motions are not tested
+    motion: np.ndarray  # [I] bool; false: the start is tested
+
+
+class Outcome(NamedTuple):
+    """What testing S sequences found out."""
+
+    num_valid: np.ndarray  # [S] items that hold, before the first that does not
+    refuted: np.ndarray  # [S] whether there is one that does not
+    num_checks: np.ndarray  # [S] configurations, as a test one by one would count
+    num_edges: np.ndarray  # [S] motions that were asked about
+
+
+class SequenceTester:
+    """Tests sequences for one robot."""
+
+    def __init__(self, robot: Robot, checker: Checker, resolution: float):
+        """Args:
+        robot: the arm.
+        checker: its collision functions.
+        resolution: largest distance of neighbouring configurations of a motion.
+        """
+        self._check = jax.jit(checker.check_each)
+        self._order = bisection_order(most_intervals(robot, resolution))
+        self._resolution = resolution
+        self.computed = 0  # configurations, with those that no sequential test would have needed
+
+    def warm_up(self, scenes: Scene, num_dof: int, most: int) -> None:
+        """Compiles what up to `most` sequences may need."""
+        for block in _BLOCKS:
+            zeros = jnp.zeros((block, num_dof))
+            jax.block_until_ready(self._check(scenes, jnp.zeros(block, jnp.int32), zeros))
+            if most * _FIRST_STRETCH <= block:
+                break
+
+    def __call__(self, scenes: Scene, items: Items, num: int) -> Outcome:
+        """Tests what is asked for.
+
+        Args:
+            scenes: `[P]`, on the device.
+            items: what to test.
+            num: S; sequences without items hold.
+        """
+        low, high, intervals, points = self._cut(items)
+        total = np.bincount(items.sequence, weights=points, minlength=num).astype(int)
+        begin = np.cumsum(points) - points  # of an item, over all sequences
+        first = np.cumsum(total) - total  # of a sequence
+        done, alive = np.zeros(num, int), total > 0
+        checks, culprit = np.zeros(num, int), np.full(num, len(points))
+        stretch = _FIRST_STRETCH
+        while alive.any():
+            rows = np.flatnonzero(alive)
+            size = np.minimum(max(stretch, _BLOCKS[0] // len(rows)), (total - done)[rows])
+            of = np.repeat(np.arange(len(rows)), size)
+            step = np.arange(len(of)) - np.repeat(np.cumsum(size) - size, size)
+            at = (first + done)[rows][of] + step
+            item = np.searchsorted(begin, at, side="right") - 1
+            point = self._order[intervals[item], at - begin[item]]
+            fraction = (point / intervals[item]).astype(np.float32)[:, None]
+            q = low[item] + fraction * (high[item] - low[item])
+            bad = np.flatnonzero(~self._test(scenes, items.owner[item], q))
+            hit, where = np.unique(of[bad], return_index=True)
+            tested = size.copy()
+            tested[hit] = step[bad[where]] + 1
+            culprit[rows[hit]] = item[bad[where]]
+            checks[rows] += tested
+            done[rows] += size
+            alive[rows] = (done < total)[rows]
+            alive[rows[hit]] = False
+            stretch *= 2
+        refuted = culprit < len(points)
+        return Outcome(
+            num_valid=_count(items.sequence, np.arange(len(points)) < culprit[items.sequence], num),
+            refuted=refuted,
+            num_checks=checks,
+            num_edges=_count(
+                items.sequence,
+                items.motion & (np.arange(len(points)) <= culprit[items.sequence]),
+                num,
+            ),
+        )
+
+    def _cut(self, items: Items) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Both ends of each item, its intervals, and how many configurations are to be tested."""
+        starts = items.starts
+        ends = np.where(items.motion[:, None], items.ends, starts)
+        # Both directions of an edge test the very same floats, so that validity cannot depend on
+        # the direction: the lexicographically smaller end comes first.
+        at = np.arange(len(starts)), (starts != ends).argmax(axis=1)
+        swap = (starts[at] > ends[at])[:, None]
+        low, high = np.where(swap, ends, starts), np.where(swap, starts, ends)
+        length = np.linalg.norm(high - low, axis=1)
+        # NaN, or beyond the robot's range: cannot be tested at the resolution, so not valid.
+        most = len(self._order) - 1
+        testable = length <= self._resolution * most
+        low[~testable] = np.nan
+        intervals = np.clip(np.ceil(np.where(testable, length, 0) / self._resolution), 1, most)
+        points = np.where(items.motion & testable, intervals - 1, 1)
+        return low, high, intervals.astype(int), points.astype(int)
+
+    def _test(self, scenes: Scene, owner: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Tells of configurations `[B D]`, each in the scene of its owner, whether they are valid."""
+        valid, begin = np.empty(len(q), bool), 0
+        parts = []
+        while begin < len(q):
+            left = len(q) - begin
+            block = next((b for b in _BLOCKS if left <= b), _BLOCKS[-1])
+            # Two calls of the middle size are less work than one that is mostly padding.
+            while block > _BLOCKS[0] and left <= block // 4:
+                block = _BLOCKS[_BLOCKS.index(block) - 1]
+            end = min(begin + block, len(q))
+            pad = begin + block - end
+            rows = np.pad(q[begin:end], ((0, pad), (0, 0)))
+            own = np.pad(owner[begin:end], (0, pad), mode="edge").astype(np.int32)
+            parts.append((begin, end, self._check(scenes, own, rows)))
+            self.computed += block
+            begin = end
+        for first, end, found in parts:  # all are on their way before the first is waited for
+            valid[first:end] = np.asarray(found)[: end - first]
+        return valid
+
+
+def _count(sequence: np.ndarray, chosen: np.ndarray, num: int) -> np.ndarray:
+    return np.bincount(sequence[chosen], minlength=num)
