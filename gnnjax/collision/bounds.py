@@ -1,78 +1,47 @@
-"""What the certificate knows: obstacles and the arm, and bounds on how far the arm can move.
+"""What the certificate knows of the arm: spheres, and bounds on how far each can move.
 
-In NumPy and double precision, apart from the planning kernels, and checked by itself, whatever was
-checked before.
+In NumPy and double precision, apart from the planning kernels. Arrays have their components first
+and what they are computed for last (see `obstacles.py`).
 """
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 
 from gnnjax.arm.robot import CAPSULE, Joint, Robot, require_round_geoms
+from gnnjax.collision.obstacles import Boxes, sum_of_squares
 from gnnjax.errors import InputError
-from gnnjax.scene.scene import Scene
-from gnnjax.scene.shapes import for_every_kind
 
-_MOST_METERS = 1e4  # of a box; what lies beyond is no scene of an arm
-_QUAT_ERROR = 1e-4  # how far from 1 a quaternion's length may be
-
-
-class Boxes:
-    """The existing boxes of a scene, in double precision."""
-
-    def __init__(self, scene: Scene):
-        mask = np.asarray(scene.mask)
-        centers, half_extents, quats = (np.asarray(x, float) for x in scene[:3])
-        # Numbers instead of a mask would choose rows.
-        if mask.dtype != bool or mask.ndim != 1:
-            raise InputError(f"the mask of the scene is {mask.dtype} {mask.shape}; give bool [M]")
-        for name, array, width in (
-            ("centers", centers, 3),
-            ("half_extents", half_extents, 3),
-            ("quats", quats, 4),
-        ):
-            if array.shape != (len(mask), width):
-                raise InputError(
-                    f"{name} of the scene have shape {array.shape}; give [{len(mask)}, {width}]"
-                )
-        self.centers, self.half_extents, quats = centers[mask], half_extents[mask], quats[mask]
-        # Written so that NaN fails.
-        size = self.half_extents
-        _refuse_unless(np.abs(self.centers) <= _MOST_METERS, "centers", self.centers, "finite")
-        _refuse_unless((size > 0) & (size <= _MOST_METERS), "half_extents", size, "positive")
-        with np.errstate(over="ignore"):
-            norms = np.linalg.norm(quats, axis=1, keepdims=True)
-        _refuse_unless(np.abs(norms - 1) <= _QUAT_ERROR, "quats", quats, "of length 1")
-        self.rotations = np.array([_rotation(q) for q in quats / norms])
-
-    def distances(self, points: np.ndarray) -> np.ndarray:
-        """Distances [m] of points `[B, S, 3]` to the nearest box, `[B, S]`; 0 inside."""
-        nearest = np.full(points.shape[:2], np.inf)
-        for center, size, rotation in zip(
-            self.centers, self.half_extents, self.rotations, strict=True
-        ):
-            outside = np.maximum(np.abs((points - center) @ rotation) - size, 0)
-            nearest = np.minimum(nearest, np.einsum("bsi,bsi->bs", outside, outside))
-        return np.sqrt(nearest)
+# m; added to every motion, for what double precision rounds off. That is less than 1e-11 m among
+# numbers below 1e4 m.
+_ROUNDING = 1e-9
 
 
-# Of its own code, and checked by itself: see `shapes.py`.
-_KINDS = for_every_kind("certificate", box=Boxes)
+class Rates(NamedTuple):
+    """How far things can move while a fraction of a motion is done, m, for each of E motions."""
+
+    spheres: np.ndarray  # [S E]
+    pairs: np.ndarray  # [P E] of the distance between two spheres
+    links: np.ndarray  # [L E] of any sphere of a link
+    link_pairs: np.ndarray  # [Q E] of the distance of any two
 
 
-def obstacles_of(scene: Scene) -> list[Boxes]:
-    """The existing obstacles of a scene, by kind, or what is wrong with them."""
-    return [kind(scene) for kind in _KINDS.values()]
+class Moments(NamedTuple):
+    """B configurations, and the motions whose middles they are."""
+
+    q: np.ndarray  # [D B]
+    scene: np.ndarray  # [B] in which scene each is
+    motion: np.ndarray  # [B] of which motion it is a part
+    share: np.ndarray  # [B] how much of that is done until the part's ends, at most
 
 
-def _refuse_unless(good: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:
-    bad = ~good.all(axis=1)
-    if bad.any():
-        raise InputError(
-            f"existing box {int(bad.argmax())} of the scene has {name} "
-            f"{values[bad.argmax()].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
-            "make scenes with make_scene"
-        )
+class Gaps(NamedTuple):
+    """Whatever may touch: N pairs of a sphere and an obstacle, or of two spheres."""
+
+    moment: np.ndarray  # [N] at which of the moments
+    gap: np.ndarray  # [N] m between their surfaces; negative in collision
+    motion: np.ndarray  # [N] m, that the gap may shrink by, at most
 
 
 class Spheres:
@@ -84,7 +53,8 @@ class Spheres:
             raise InputError(f"geoms of {robot.name} have radii that are not positive; mend them")
         self.robot = robot
         owner, bodies, centers, radii = [], [], [], []
-        for g in range(len(robot.geom_radii)):
+        # Spheres of one body lie side by side: they are a link.
+        for g in np.argsort(robot.geom_bodies, kind="stable"):
             radius, steps = robot.geom_radii[g], np.zeros(1)
             if robot.geom_types[g] == CAPSULE:
                 length = 2 * np.linalg.norm(robot.geom_axes[g])
@@ -96,10 +66,15 @@ class Spheres:
                 bodies.append(int(robot.geom_bodies[g]))
                 centers.append(robot.geom_centers[g] + step * robot.geom_axes[g])
                 radii.append(radius)
-        self.bodies, self.centers = np.array(bodies), np.array(centers)
+        self.bodies, self.centers = np.array(bodies), np.array(centers).T
         self.radii = np.array(radii)
         self.reach = np.array([self._reach(b, c) for b, c in zip(bodies, centers, strict=True)])
-        self.moves = self.reach.any(axis=1)
+        axes = np.zeros((robot.num_dof, 3))
+        for joint in (joint for body in robot.bodies for joint in body.joints):
+            axes[joint.index] = joint.axis
+        # [D 3 3], whose products with vectors are those of the axes: row i is e_i x axis.
+        self.crosses = np.cross(np.eye(3), axes[:, None])
+        self._find_links()
         owner = np.array(owner)
         pairs = [
             (i, j)
@@ -107,11 +82,32 @@ class Spheres:
             for i in np.flatnonzero(owner == a)
             for j in np.flatnonzero(owner == b)
         ]
-        self.pairs = np.array(pairs, int).reshape(-1, 2)
+        self._sort_pairs(np.array(pairs, int).reshape(-1, 2))
+
+    def _find_links(self) -> None:
+        """What the spheres of a body have in common: L links, and a ball around each."""
+        self.links, self.first, self.link_of, self.count = np.unique(
+            self.bodies, return_index=True, return_inverse=True, return_counts=True
+        )
+        self.upstream = self._upstream()[self.links]  # [L D]
+        self.moving = np.flatnonzero(self.upstream.any(axis=1))
+        low = np.minimum.reduceat(self.centers, self.first, axis=1)
+        high = np.maximum.reduceat(self.centers, self.first, axis=1)
+        self.middles = (low + high) / 2
+        beyond = np.sqrt(sum_of_squares(self.centers - self.middles[:, self.link_of]))
+        self.ball_radii = np.maximum.reduceat(beyond + self.radii, self.first)
+
+    def _sort_pairs(self, pairs: np.ndarray) -> None:
+        """Pairs `[P, 2]` of spheres, those of the same two links side by side."""
+        key = self.link_of[pairs] @ [len(self.links), 1]
+        self.pairs = pairs[np.argsort(key, kind="stable")]
+        key, self.pair_first, self.pair_count = np.unique(
+            np.sort(key), return_index=True, return_counts=True
+        )
+        self.link_pairs = np.stack(np.divmod(key, len(self.links)))
         first, second = self.pairs.T
         # A joint that carries both spheres leaves their distance alone.
-        upstream = self._upstream()
-        shared = upstream[self.bodies[first]] & upstream[self.bodies[second]]
+        shared = self.upstream[self.link_of[first]] & self.upstream[self.link_of[second]]
         self.pair_reach = np.where(shared, 0.0, self.reach[first] + self.reach[second])
 
     def _upstream(self) -> np.ndarray:
@@ -159,73 +155,133 @@ class Spheres:
         model = self.robot.mj_model
         return float(np.abs(model.jnt_range[joint.index] - model.qpos0[joint.index]).max())
 
-    def clearance_and_need(
-        self, obstacles: list["Boxes"], q: np.ndarray, half: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """What keeps the arm free at q `[B, D]` and while it moves by up to `half` `[B, D]`.
+    def rates(self, change: np.ndarray) -> Rates:
+        """Bounds for motions by up to `change` `[D, E]` of each joint."""
+        spheres, pairs = (
+            np.zeros((len(reach), change.shape[1])) for reach in (self.reach, self.pair_reach)
+        )
+        for j, by in enumerate(change):
+            spheres += self.reach[:, j, None] * by
+            pairs += self.pair_reach[:, j, None] * by
+        links = np.maximum.reduceat(spheres, self.first, axis=0)
+        return Rates(spheres, pairs, links, np.maximum.reduceat(pairs, self.pair_first, axis=0))
 
-        Returns:
-            Clearance `[B]`, m; and the largest share of a gap `[B]` that the motion can use up:
-            below 1 nothing is touched.
+    def any_rates(self) -> Rates:
+        """Of one motion that nothing is beyond the reach of."""
+        sizes = len(self.radii), len(self.pairs), len(self.links), len(self.pair_first)
+        return Rates(*(np.full((size, 1), np.inf) for size in sizes))
+
+    def gaps(self, obstacles: list[Boxes], at: Moments, rates: Rates) -> Gaps:
+        """The gaps that a motion might use up, to obstacles and of the arm to itself.
+
+        What is left out cannot touch: a gap is at least the distance of what encloses the two,
+        the ball of a link and the ball of an obstacle or the obstacle itself, and this is more
+        than the motion of any of their spheres. (Written so that what is not a number stays.)
+        Links that no joint moves are not compared with obstacles: no configuration changes the
+        outcome, see `base_touches`.
         """
-        centers = self._world_centers(q)  # [B S 3]
-        clearance, need = np.full(len(q), np.inf), np.zeros(len(q))
+        frames = self._frames(at.q)
+        middles = _place(frames, self.middles[:, :, None])  # [3 L B]
+        found = [self._gaps_to(kind, at, rates, frames, middles) for kind in obstacles]
+        found.append(self._gaps_within(at, rates, frames, middles))
+        return Gaps(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
-        def account(gaps: np.ndarray, motion: np.ndarray) -> None:
-            nonlocal clearance, need
-            clearance = np.minimum(clearance, gaps.min(axis=1, initial=np.inf))
-            share = motion / np.maximum(gaps, 1e-12)
-            need = np.maximum(need, share.max(axis=1, initial=0.0))
+    def _gaps_to(
+        self, kind: Boxes, at: Moments, rates: Rates, frames: np.ndarray, middles: np.ndarray
+    ) -> Gaps:
+        reach = self.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
+        centers, radii, exists = (
+            x.take(at.scene, axis=-1) for x in (kind.centers, kind.radii, kind.exists)
+        )
+        apart = sum_of_squares(middles[:, self.moving, None] - centers[:, None])  # [L M B]
+        near = exists & ~(apart > (reach[self.moving, None] + radii) ** 2)
+        link, thing, moment = np.unravel_index(np.flatnonzero(near), near.shape)
+        link = self.moving[link]
+        apart = kind.distances(_pick(middles, link, moment), thing, at.scene[moment])
+        near = ~(apart > _pick(reach, link, moment))
+        link, thing, moment = link[near], thing[near], moment[near]
+        row, sphere = members(self.first[link], self.count[link])
+        link, thing, moment = link[row], thing[row], moment[row]
+        points = _place(_pick(frames, link, moment), self.centers[:, sphere])
+        apart = kind.distances(points, thing, at.scene[moment])
+        motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+        return Gaps(moment, apart - self.radii[sphere], motion)
 
-        motion = half @ self.reach[self.moves].T
-        moving, radii = centers[:, self.moves], self.radii[self.moves]
-        nearest = np.full(motion.shape, np.inf)
-        for kind in obstacles:
-            nearest = np.minimum(nearest, kind.distances(moving))
-        account(nearest - radii, motion)
-        first, second = self.pairs.T
-        between = centers[:, first] - centers[:, second]
-        apart = np.sqrt(np.einsum("bpi,bpi->bp", between, between))
-        account(apart - self.radii[first] - self.radii[second], half @ self.pair_reach.T)
-        return clearance, need
+    def _gaps_within(
+        self, at: Moments, rates: Rates, frames: np.ndarray, middles: np.ndarray
+    ) -> Gaps:
+        a, b = self.link_pairs
+        reach = (self.ball_radii[a] + self.ball_radii[b])[:, None] + _motion(rates.link_pairs, at)
+        near = ~(sum_of_squares(middles[:, a] - middles[:, b]) > reach**2)  # [Q B]
+        couple, moment = np.unravel_index(np.flatnonzero(near), near.shape)
+        row, pair = members(self.pair_first[couple], self.pair_count[couple])
+        couple, moment = couple[row], moment[row]
+        first, second = self.pairs[pair].T
+        between = sum_of_squares(
+            _place(_pick(frames, a[couple], moment), self.centers[:, first])
+            - _place(_pick(frames, b[couple], moment), self.centers[:, second])
+        )
+        gap = np.sqrt(between) - self.radii[first] - self.radii[second]
+        motion = _pick(rates.pairs, pair, at.motion[moment]) * at.share[moment] + _ROUNDING
+        return Gaps(moment, gap, motion)
 
-    def _world_centers(self, q: np.ndarray) -> np.ndarray:
-        rotations = [np.broadcast_to(np.eye(3), (len(q), 3, 3))]
-        positions = [np.zeros((len(q), 3))]
+    def _frames(self, q: np.ndarray) -> np.ndarray:
+        """The axes and the origin of every link at q `[D, B]`, `[4, 3, L, B]`."""
         # Bodies lie as the MJCF places them when a joint is at its reference (`ref`).
-        reference = self.robot.mj_model.qpos0
-        for body in self.robot.bodies:  # the world comes first here: indices are shifted by one
-            rotation, position = rotations[body.parent + 1], positions[body.parent + 1]
-            position = position + rotation @ body.position
-            rotation = rotation @ body.rotation
+        value = q - self.robot.mj_model.qpos0[:, None]
+        sin, cos = np.sin(value)[:, None, None], np.cos(value)[:, None, None]
+        # Rodrigues, [D 3 3 B].
+        cross, squared = self.crosses[..., None], (self.crosses @ self.crosses)[..., None]
+        turns = np.eye(3)[..., None] + cross * sin + squared * (1 - cos)
+        world = np.concatenate([np.eye(3), np.zeros((1, 3))])[..., None]
+        # The world comes first here: indices are shifted by one.
+        frames = [np.broadcast_to(world, (4, 3, q.shape[1]))]
+        for body in self.robot.bodies:
+            parent = frames[body.parent + 1]
+            origin = _place(parent, body.position)
+            axes = _turned(parent, body.rotation[..., None])
             for joint in body.joints:
-                value = q[:, joint.index] - reference[joint.index]
                 if not joint.hinge:
-                    position = position + (rotation @ joint.axis) * value[:, None]
+                    origin = origin + _along(axes, joint.axis) * value[joint.index]
                     continue
-                anchor = position + rotation @ joint.anchor
-                rotation = rotation @ _turn(joint.axis, value)
-                position = anchor - rotation @ joint.anchor
-            rotations.append(rotation)
-            positions.append(position)
-        of_sphere = self.bodies + 1
-        rotated = np.einsum("sbij,sj->bsi", np.stack(rotations)[of_sphere], self.centers)
-        return rotated + np.stack(positions, axis=1)[:, of_sphere]
+                turned = _turned(axes, turns[joint.index])
+                if joint.anchor.any():
+                    origin = origin + _along(axes, joint.anchor) - _along(turned, joint.anchor)
+                axes = turned
+            frames.append(np.concatenate([axes, origin[None]]))
+        return np.stack([frames[link + 1] for link in self.links], axis=2)
 
 
-def _turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Rotations `[B, 3, 3]` about a unit axis (Rodrigues)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.eye(3) + sin * cross + (1 - cos) * (cross @ cross)
+def _along(axes: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Points `[3, ...]`, given by components `[3, ...]` along axes `[3, 3, ...]`."""
+    return axes[0] * point[0] + axes[1] * point[1] + axes[2] * point[2]
 
 
-def _rotation(quat: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a unit quaternion w x y z."""
-    w, v = quat[0], quat[1:]
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+def _place(frames: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Points in the world, of points in frames `[4, 3, ...]`."""
+    return frames[3] + _along(frames, point)
+
+
+def _turned(axes: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Axes `[3, 3, B]`, turned by rotations `[3, 3, B]` as seen along themselves."""
+    return _along(axes[:, None], turn[:, :, None])
+
+
+def _pick(array: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Of an array `[..., L, B]` the places (row, column), `[..., N]`."""
+    *rest, rows, columns = array.shape
+    return array.reshape(*rest, rows * columns).take(row * columns + column, axis=-1)
+
+
+def members(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For groups of consecutive numbers: of which group each member is, and its number."""
+    row = np.repeat(np.arange(len(count)), count)
+    return row, np.arange(len(row)) + (first - np.cumsum(count) + count)[row]
+
+
+def _motion(rates: np.ndarray, at: Moments) -> np.ndarray:
+    """How far things move, of rates `[X, E]`, `[X, B]`."""
+    return rates.take(at.motion, axis=1) * at.share + _ROUNDING
 
 
 @functools.cache
