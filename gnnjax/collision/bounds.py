@@ -10,12 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gnnjax.arm.robot import CAPSULE, Joint, Robot, require_round_geoms
-from gnnjax.collision.obstacles import Boxes, sum_of_squares
+from gnnjax.collision.obstacles import sum_of_squares
 from gnnjax.errors import InputError
-
-# m; added to every motion, for what double precision rounds off. That is less than 1e-11 m among
-# numbers below 1e4 m.
-_ROUNDING = 1e-9
 
 
 class Rates(NamedTuple):
@@ -25,23 +21,6 @@ class Rates(NamedTuple):
     pairs: np.ndarray  # [P E] of the distance between two spheres
     links: np.ndarray  # [L E] of any sphere of a link
     link_pairs: np.ndarray  # [Q E] of the distance of any two
-
-
-class Moments(NamedTuple):
-    """B configurations, and the motions whose middles they are."""
-
-    q: np.ndarray  # [D B]
-    scene: np.ndarray  # [B] in which scene each is
-    motion: np.ndarray  # [B] of which motion it is a part
-    share: np.ndarray  # [B] how much of that is done until the part's ends, at most
-
-
-class Gaps(NamedTuple):
-    """Whatever may touch: N pairs of a sphere and an obstacle, or of two spheres."""
-
-    moment: np.ndarray  # [N] at which of the moments
-    gap: np.ndarray  # [N] m between their surfaces; negative in collision
-    motion: np.ndarray  # [N] m, that the gap may shrink by, at most
 
 
 class Spheres:
@@ -166,122 +145,10 @@ class Spheres:
         links = np.maximum.reduceat(spheres, self.first, axis=0)
         return Rates(spheres, pairs, links, np.maximum.reduceat(pairs, self.pair_first, axis=0))
 
-    def any_rates(self) -> Rates:
-        """Of one motion that nothing is beyond the reach of."""
+    def same_rates(self, meters: float) -> Rates:
+        """Of one motion, by which anything may move as far as anything else."""
         sizes = len(self.radii), len(self.pairs), len(self.links), len(self.pair_first)
-        return Rates(*(np.full((size, 1), np.inf) for size in sizes))
-
-    def gaps(self, obstacles: list[Boxes], at: Moments, rates: Rates) -> Gaps:
-        """The gaps that a motion might use up, to obstacles and of the arm to itself.
-
-        What is left out cannot touch: a gap is at least the distance of what encloses the two,
-        the ball of a link and the ball of an obstacle or the obstacle itself, and this is more
-        than the motion of any of their spheres. (Written so that what is not a number stays.)
-        Links that no joint moves are not compared with obstacles: no configuration changes the
-        outcome, see `base_touches`.
-        """
-        frames = self._frames(at.q)
-        middles = _place(frames, self.middles[:, :, None])  # [3 L B]
-        found = [self._gaps_to(kind, at, rates, frames, middles) for kind in obstacles]
-        found.append(self._gaps_within(at, rates, frames, middles))
-        return Gaps(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-
-    def _gaps_to(
-        self, kind: Boxes, at: Moments, rates: Rates, frames: np.ndarray, middles: np.ndarray
-    ) -> Gaps:
-        reach = self.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
-        centers, radii, exists = (
-            x.take(at.scene, axis=-1) for x in (kind.centers, kind.radii, kind.exists)
-        )
-        apart = sum_of_squares(middles[:, self.moving, None] - centers[:, None])  # [L M B]
-        near = exists & ~(apart > (reach[self.moving, None] + radii) ** 2)
-        link, thing, moment = np.unravel_index(np.flatnonzero(near), near.shape)
-        link = self.moving[link]
-        apart = kind.distances(_pick(middles, link, moment), thing, at.scene[moment])
-        near = ~(apart > _pick(reach, link, moment))
-        link, thing, moment = link[near], thing[near], moment[near]
-        row, sphere = members(self.first[link], self.count[link])
-        link, thing, moment = link[row], thing[row], moment[row]
-        points = _place(_pick(frames, link, moment), self.centers[:, sphere])
-        apart = kind.distances(points, thing, at.scene[moment])
-        motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
-        return Gaps(moment, apart - self.radii[sphere], motion)
-
-    def _gaps_within(
-        self, at: Moments, rates: Rates, frames: np.ndarray, middles: np.ndarray
-    ) -> Gaps:
-        a, b = self.link_pairs
-        reach = (self.ball_radii[a] + self.ball_radii[b])[:, None] + _motion(rates.link_pairs, at)
-        near = ~(sum_of_squares(middles[:, a] - middles[:, b]) > reach**2)  # [Q B]
-        couple, moment = np.unravel_index(np.flatnonzero(near), near.shape)
-        row, pair = members(self.pair_first[couple], self.pair_count[couple])
-        couple, moment = couple[row], moment[row]
-        first, second = self.pairs[pair].T
-        between = sum_of_squares(
-            _place(_pick(frames, a[couple], moment), self.centers[:, first])
-            - _place(_pick(frames, b[couple], moment), self.centers[:, second])
-        )
-        gap = np.sqrt(between) - self.radii[first] - self.radii[second]
-        motion = _pick(rates.pairs, pair, at.motion[moment]) * at.share[moment] + _ROUNDING
-        return Gaps(moment, gap, motion)
-
-    def _frames(self, q: np.ndarray) -> np.ndarray:
-        """The axes and the origin of every link at q `[D, B]`, `[4, 3, L, B]`."""
-        # Bodies lie as the MJCF places them when a joint is at its reference (`ref`).
-        value = q - self.robot.mj_model.qpos0[:, None]
-        sin, cos = np.sin(value)[:, None, None], np.cos(value)[:, None, None]
-        # Rodrigues, [D 3 3 B].
-        cross, squared = self.crosses[..., None], (self.crosses @ self.crosses)[..., None]
-        turns = np.eye(3)[..., None] + cross * sin + squared * (1 - cos)
-        world = np.concatenate([np.eye(3), np.zeros((1, 3))])[..., None]
-        # The world comes first here: indices are shifted by one.
-        frames = [np.broadcast_to(world, (4, 3, q.shape[1]))]
-        for body in self.robot.bodies:
-            parent = frames[body.parent + 1]
-            origin = _place(parent, body.position)
-            axes = _turned(parent, body.rotation[..., None])
-            for joint in body.joints:
-                if not joint.hinge:
-                    origin = origin + _along(axes, joint.axis) * value[joint.index]
-                    continue
-                turned = _turned(axes, turns[joint.index])
-                if joint.anchor.any():
-                    origin = origin + _along(axes, joint.anchor) - _along(turned, joint.anchor)
-                axes = turned
-            frames.append(np.concatenate([axes, origin[None]]))
-        return np.stack([frames[link + 1] for link in self.links], axis=2)
-
-
-def _along(axes: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Points `[3, ...]`, given by components `[3, ...]` along axes `[3, 3, ...]`."""
-    return axes[0] * point[0] + axes[1] * point[1] + axes[2] * point[2]
-
-
-def _place(frames: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Points in the world, of points in frames `[4, 3, ...]`."""
-    return frames[3] + _along(frames, point)
-
-
-def _turned(axes: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Axes `[3, 3, B]`, turned by rotations `[3, 3, B]` as seen along themselves."""
-    return _along(axes[:, None], turn[:, :, None])
-
-
-def _pick(array: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Of an array `[..., L, B]` the places (row, column), `[..., N]`."""
-    *rest, rows, columns = array.shape
-    return array.reshape(*rest, rows * columns).take(row * columns + column, axis=-1)
-
-
-def members(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For groups of consecutive numbers: of which group each member is, and its number."""
-    row = np.repeat(np.arange(len(count)), count)
-    return row, np.arange(len(row)) + (first - np.cumsum(count) + count)[row]
-
-
-def _motion(rates: np.ndarray, at: Moments) -> np.ndarray:
-    """How far things move, of rates `[X, E]`, `[X, B]`."""
-    return rates.take(at.motion, axis=1) * at.share + _ROUNDING
+        return Rates(*(np.full((size, 1), meters) for size in sizes))
 
 
 @functools.cache

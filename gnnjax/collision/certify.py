@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.bounds import Moments, members, spheres_of
+from gnnjax.collision.bounds import spheres_of
+from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
 from gnnjax.collision.obstacles import Boxes, obstacles_of
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.scene import Scene
@@ -100,7 +101,7 @@ def _certify_block(
         now, later = slice(_PIECES_A_BATCH), slice(_PIECES_A_BATCH, None)
         of, near, far = edge[now], low[now], high[now]
         q = begin[:, of] + (near + far) / 2 * way[:, of]
-        found = body.gaps(obstacles, Moments(q, owner[of], of, (far - near) / 2), rates)
+        found = gaps_of(body, obstacles, Moments(q, owner[of], of, (far - near) / 2), rates)
         # The largest share of a gap that the motion can use up: below 1 nothing is touched.
         need = np.zeros(len(of))
         np.maximum.at(need, found.moment, found.motion / np.maximum(found.gap, 1e-12))
@@ -177,7 +178,11 @@ def _cut(
 
 
 def clearances(
-    robot: Robot, scene: Scene, q: np.ndarray, owner: np.ndarray | None = None
+    robot: Robot,
+    scene: Scene,
+    q: np.ndarray,
+    owner: np.ndarray | None = None,
+    most: float = np.inf,
 ) -> np.ndarray:
     """Distances [m] of the arm at q `[B, D]` to boxes and itself, `[B]`; negative in collision.
 
@@ -188,15 +193,17 @@ def clearances(
         scene: one scene, or P scenes `[P, M, ...]`.
         q: configurations.
         owner: `[B]`, in which of P scenes each is; None for one scene.
+        most: what is farther away than this [m] may count as if it were nothing.
     """
     q = _configurations(robot, "q", q)
     owner, obstacles, body = _owners(scene, owner, len(q)), obstacles_of(scene), spheres_of(robot)
+    rates = body.same_rates(most)
     found = np.where(np.isfinite(q).all(axis=1), np.inf, np.nan)
     finite = np.flatnonzero(found == np.inf)
     for first in range(0, len(finite), _PIECES_A_BATCH):
         rows = finite[first : first + _PIECES_A_BATCH]
         at = Moments(q[rows].T.copy(), owner[rows], np.zeros(len(rows), int), np.ones(len(rows)))
-        gaps = body.gaps(obstacles, at, body.any_rates())
+        gaps = gaps_of(body, obstacles, at, rates)
         np.minimum.at(found, rows[gaps.moment], gaps.gap)
     return found
 
@@ -210,6 +217,16 @@ def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Distances [m] of the arm at `[B, D]` configurations to itself, `[B]`; inf without pairs."""
     nothing = Scene(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, bool))
     return clearances(robot, nothing, q)
+
+
+def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
+    """Whether the arm's base is clear of each box, `[M]`, or `[P, M]` in P scenes.
+
+    The base are the geoms that no joint moves: edges and configurations leave them out. True where
+    no box is.
+    """
+    (boxes,) = obstacles_of(scene)
+    return clear_of_base(spheres_of(robot), boxes).T.reshape(np.shape(scene.mask))
 
 
 def check_scene(scene: Scene) -> None:

@@ -16,7 +16,7 @@ _QUAT_ERROR = 1e-4  # how far from 1 a quaternion's length may be
 
 
 class Boxes:
-    """The existing boxes of P scenes, of which there are at most M in one."""
+    """The existing boxes of P scenes, in double precision."""
 
     exists: np.ndarray  # [M P]
     centers: np.ndarray  # [3 M P] m; any box lies in the ball of its radius about its center
@@ -24,13 +24,10 @@ class Boxes:
 
     def __init__(self, scenes: Scene):
         mask, centers, half_extents, quats = _arrays(scenes)
-        # Existing boxes first, in their order.
-        order = np.argsort(~mask, axis=1, kind="stable")[:, : mask.sum(axis=1).max(initial=0)]
-        self.exists = np.take_along_axis(mask, order, axis=1).T
+        self.exists = mask.T
+        # What does not exist may hold anything.
         self.centers, sizes, quats = (
-            # What does not exist may hold anything.
-            np.where(self.exists, np.take_along_axis(x, order[..., None], axis=1).T, 1.0)
-            for x in (centers, half_extents, quats)
+            np.where(self.exists, x.T, 1.0) for x in (centers, half_extents, quats)
         )
         self.radii = np.sqrt(sum_of_squares(sizes))
         w, x, y, z = quats / np.sqrt(sum_of_squares(quats))
