@@ -18,8 +18,8 @@ from gnnjax.scene.scene import Scene
 # this close to touching is refused.
 _SHORTEST_PIECE = 1e-4
 _FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
-_PIECES_A_BATCH = 1024
-_EDGES_A_BLOCK = 1024
+_PIECES_A_BATCH = 1024  # whose arrays fit into a core's cache
+_EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
 
 
 def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
@@ -76,7 +76,7 @@ def certify_edges(
         raise InputError(f"{len(starts)} starts and {len(ends)} ends; give one of each an edge")
     owner = _owners(scene, owner, len(starts))
     obstacles = obstacles_of(scene)
-    certified = within_limits(robot, starts) & within_limits(robot, ends)
+    certified = _within_limits(robot, starts) & _within_limits(robot, ends)
     inside = np.flatnonzero(certified)
     for first in range(0, len(inside), _EDGES_A_BLOCK):
         edge = inside[first : first + _EDGES_A_BLOCK]
@@ -89,7 +89,8 @@ def _certify_block(
 ) -> np.ndarray:
     """Certifies edges `[E, D]` within the joint limits; returns `[E]`.
 
-    Pieces of edges are kept as fractions from 0 to 1 of what edge they belong to.
+    Pieces are kept as fractions from 0 to 1 of the edge that they belong to. From its middle to
+    its ends, a piece moves everything by at most half its fraction of what the edge does.
     """
     body, lengths = spheres_of(robot), _lengths(starts, ends)
     begin, way = starts.T.copy(), (ends - starts).T.copy()
@@ -119,7 +120,7 @@ def _certify_block(
     return certified
 
 
-def within_limits(robot: Robot, q: np.ndarray) -> np.ndarray:
+def _within_limits(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Whether configurations `[N, D]` are numbers within the joint limits, `[N]`."""
     # Half an ulp of single precision: limits are stored as float32.
     slack = 1e-6
@@ -222,8 +223,8 @@ def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
 def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
     """Whether the arm's base is clear of each box, `[M]`, or `[P, M]` in P scenes.
 
-    The base are the geoms that no joint moves: edges and configurations leave them out. True where
-    no box is.
+    The base is what no joint moves, which certificates and clearances leave out. True where no box
+    is. Capsules count as chains of spheres here, too.
     """
     (boxes,) = obstacles_of(scene)
     return clear_of_base(spheres_of(robot), boxes).T.reshape(np.shape(scene.mask))

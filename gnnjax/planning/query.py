@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import base_clear, clearances
+from gnnjax.collision.certify import base_clear, check_scene, clearances
 from gnnjax.collision.obstacles import scene_faults
 from gnnjax.errors import InputError, one_line
 from gnnjax.problems.problem import Problem
@@ -62,6 +62,7 @@ def check_query(
         InputError: start or goal is no valid configuration, a box is none, or one stands in the
             base.
     """
+    check_scene(scene)
     ends = []
     for name, q in (("start", start), ("goal", goal)):
         try:
