@@ -2,18 +2,23 @@
 
 import itertools
 
+import jax
 import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from gnnjax.arm.robot import load_robot
+from gnnjax.collision.bounds import Spheres, spheres_of
 from gnnjax.collision.certify import (
     certify_edges,
     certify_path,
+    clearances,
     configuration_clearance,
     path_clearance,
 )
+from gnnjax.collision.gaps import Moments, gaps_of
+from gnnjax.collision.obstacles import obstacles_of
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_query
 from gnnjax.scene.scene import make_scene
@@ -197,6 +202,101 @@ def test_what_is_not_a_number_is_not_certified(robots):
     assert not certify_path(robots["tiny"], make_scene([], []), path)
     with pytest.raises(InputError, match="2 starts and 1 ends"):
         certify_edges(robots["tiny"], make_scene([], []), np.zeros((2, 3)), np.zeros((1, 3)))
+
+
+def scenes_and_edges(robot, num_scenes=4, num_edges=40):
+    """Scenes of different numbers of boxes in one batch, and edges in them."""
+    rng = np.random.default_rng(5)
+    scenes = [random_scene(rng, num=3 * number) for number in range(num_scenes)]
+    starts = rng.uniform(robot.joint_lower, robot.joint_upper, (num_edges, robot.num_dof))
+    ends = rng.uniform(robot.joint_lower, robot.joint_upper, (num_edges, robot.num_dof))
+    ends = starts + rng.uniform(0, 0.9, (num_edges, 1)) * (ends - starts)
+    batch = jax.tree.map(lambda *x: np.stack(x), *scenes)
+    return scenes, batch, starts, ends, rng.integers(num_scenes, size=num_edges)
+
+
+@pytest.mark.parametrize("name", ["tiny", "odd", "kuka_iiwa14"])
+def test_an_edge_is_certified_alike_alone_and_in_any_company(robots, name):
+    robot = robots[name]
+    scenes, batch, starts, ends, owner = scenes_and_edges(robot)
+    alone = [
+        certify_edges(robot, scenes[p], start[None], end[None])[0]
+        for p, start, end in zip(owner, starts, ends, strict=True)
+    ]
+    assert 5 < sum(alone) < len(alone)
+    np.testing.assert_array_equal(certify_edges(robot, batch, starts, ends, owner), alone)
+    order = np.random.default_rng(6).permutation(len(starts))
+    # More than are worked on at once, and some that are none among them.
+    order = np.tile(order, 40)
+    starts, ends, owner, alone = (np.array(x)[order] for x in (starts, ends, owner, alone))
+    starts[3::7, -1], ends[5::7, 0] = np.nan, np.inf
+    alone[3::7] = alone[5::7] = False
+    np.testing.assert_array_equal(certify_edges(robot, batch, starts, ends, owner), alone)
+
+
+@pytest.mark.parametrize("name", ["tiny", "odd", "kuka_iiwa14"])
+def test_nothing_that_may_touch_is_left_out(robots, name):
+    robot = robots[name]
+    _, batch, starts, ends, owner = scenes_and_edges(robot, num_edges=200)
+    everything = Spheres(robot)
+    everything.ball_radii[:] = np.inf
+    at = Moments((starts.T + ends.T) / 2, owner, np.arange(len(starts)), np.full(len(starts), 0.5))
+    rates = everything.rates(np.abs(ends - starts).T)
+    found, wanted = (
+        gaps_of(body, obstacles_of(batch), at, rates) for body in (spheres_of(robot), everything)
+    )
+    assert len(found.gap) < 0.7 * len(wanted.gap)
+    wanted = type(wanted)(*(x[wanted.gap <= wanted.motion] for x in wanted))
+    found = type(found)(*(x[found.gap <= found.motion] for x in found))
+    assert len(wanted.gap) > 50
+    for one, other in zip(found, wanted, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_link_that_turns_about_itself_is_not_taken_for_the_base(tmp_path):
+    # No joint moves the middle of the capsule's spheres, but it is no geom of the base either.
+    path = tmp_path / "mast.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body>'
+        '<joint axis="0 0 1" range="-3 3"/>'
+        '<geom type="capsule" size="0.05" fromto="0 0 0 0 0 0.5" mass="1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    robot, edge = load_robot(path), np.array([[0.0], [1.0]])
+    assert certify_path(robot, make_scene([[0.2, 0, 0.3]], [[0.1] * 3]), edge)
+    assert not certify_path(robot, make_scene([[0.1, 0, 0.3]], [[0.1] * 3]), edge)
+
+
+def test_clearances_are_those_of_single_configurations(robots):
+    robot = robots["tiny"]
+    scenes, batch, q, _, owner = scenes_and_edges(robot, num_edges=600)
+    alone = [
+        configuration_clearance(robot, scenes[p], row) for p, row in zip(owner, q, strict=True)
+    ]
+    found = clearances(robot, batch, q, owner)
+    np.testing.assert_array_equal(found, alone)
+    touching = clearances(robot, batch, q, owner, most=0.0)
+    np.testing.assert_array_equal(touching[found <= 0], found[found <= 0])
+    assert 3 < (found <= 0).sum() == (touching <= 0).sum() < 300
+    assert np.isnan(configuration_clearance(robot, scenes[1], q[0] * np.nan))
+
+
+def test_a_scene_that_is_none_is_named_among_others(robots):
+    _, batch, starts, ends, owner = scenes_and_edges(robots["tiny"])
+    batch.half_extents[2, 1] = 0.0
+    with pytest.raises(InputError, match="scene 2: existing box 1 of the scene has half_extents"):
+        certify_edges(robots["tiny"], batch, starts, ends, owner)
+
+
+@pytest.mark.parametrize(
+    "owner", [None, np.zeros(3, int), np.zeros(40), np.full(40, -1), np.full(40, 4), "a"]
+)
+def test_every_edge_needs_a_scene_among_several(robots, owner):
+    scenes, batch, starts, ends, _ = scenes_and_edges(robots["tiny"])
+    with pytest.raises(InputError, match="for 40 edges and 4 scenes in a batch; give the number"):
+        certify_edges(robots["tiny"], batch, starts, ends, owner)
+    with pytest.raises(InputError, match="for 40 edges and 0 scenes in a batch"):
+        certify_edges(robots["tiny"], scenes[0], starts, ends, np.zeros(40, int))
 
 
 def test_a_quaternion_of_nearly_length_one_turns_a_box_as_if_it_were(robots):

@@ -39,7 +39,7 @@ interruption errors files devices
 arm.mjcf arm.robot arm.kinematics arm.fit
 scene.shapes scene.scene scene.mujoco_world
 collision.geometry collision.components collision.fused collision.mjx collision.checker
-collision.bounds collision.certify
+collision.obstacles collision.bounds collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion
 search.knowledge search.greedy search.lazy search.shorten search.guided

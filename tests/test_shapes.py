@@ -13,7 +13,7 @@ CONSUMERS = {
     "MuJoCo world": "gnnjax.scene.mujoco_world",
     "fused kernel": "gnnjax.collision.fused",
     "MJX backend": "gnnjax.collision.mjx",
-    "certificate": "gnnjax.collision.bounds",
+    "certificate": "gnnjax.collision.obstacles",
     "view of the arm": "gnnjax.guide.view",
     "problem file": "gnnjax.problems.file",
     "occupancy grid": "gnnjax.paper.occupancy",

@@ -23,7 +23,7 @@ from gnnjax.collision.certify import certify_path
 from gnnjax.devices import cache_compilations, run_where_called
 from gnnjax.errors import InputError
 from gnnjax.planning.options import PlannerOptions, check_options
-from gnnjax.planning.query import Plan, base_clear
+from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene, is_axis_aligned
 
@@ -68,7 +68,6 @@ class ClassicalPlanner:
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         """Compiles the checks; problems are planned one after the other, whatever `batch_size`."""
-        base_clear(self.robot, scene)
         self._checks_maker(is_axis_aligned(scene), scene.mask.shape[-1])
 
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:

@@ -1,78 +1,26 @@
-"""What the certificate knows: obstacles and the arm, and bounds on how far the arm can move.
+"""What the certificate knows of the arm: spheres, and bounds on how far each can move.
 
-In NumPy and double precision, apart from the planning kernels, and checked by itself, whatever was
-checked before.
+In NumPy and double precision, apart from the planning kernels. Arrays have their components first
+and what they are computed for last (see `obstacles.py`).
 """
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 
 from gnnjax.arm.robot import CAPSULE, Joint, Robot, require_round_geoms
+from gnnjax.collision.obstacles import sum_of_squares
 from gnnjax.errors import InputError
-from gnnjax.scene.scene import Scene
-from gnnjax.scene.shapes import for_every_kind
-
-_MOST_METERS = 1e4  # of a box; what lies beyond is no scene of an arm
-_QUAT_ERROR = 1e-4  # how far from 1 a quaternion's length may be
 
 
-class Boxes:
-    """The existing boxes of a scene, in double precision."""
+class Rates(NamedTuple):
+    """How far things can move while a fraction of a motion is done, m, for each of E motions."""
 
-    def __init__(self, scene: Scene):
-        mask = np.asarray(scene.mask)
-        centers, half_extents, quats = (np.asarray(x, float) for x in scene[:3])
-        # Numbers instead of a mask would choose rows.
-        if mask.dtype != bool or mask.ndim != 1:
-            raise InputError(f"the mask of the scene is {mask.dtype} {mask.shape}; give bool [M]")
-        for name, array, width in (
-            ("centers", centers, 3),
-            ("half_extents", half_extents, 3),
-            ("quats", quats, 4),
-        ):
-            if array.shape != (len(mask), width):
-                raise InputError(
-                    f"{name} of the scene have shape {array.shape}; give [{len(mask)}, {width}]"
-                )
-        self.centers, self.half_extents, quats = centers[mask], half_extents[mask], quats[mask]
-        # Written so that NaN fails.
-        size = self.half_extents
-        _refuse_unless(np.abs(self.centers) <= _MOST_METERS, "centers", self.centers, "finite")
-        _refuse_unless((size > 0) & (size <= _MOST_METERS), "half_extents", size, "positive")
-        with np.errstate(over="ignore"):
-            norms = np.linalg.norm(quats, axis=1, keepdims=True)
-        _refuse_unless(np.abs(norms - 1) <= _QUAT_ERROR, "quats", quats, "of length 1")
-        self.rotations = np.array([_rotation(q) for q in quats / norms])
-
-    def distances(self, points: np.ndarray) -> np.ndarray:
-        """Distances [m] of points `[B, S, 3]` to the nearest box, `[B, S]`; 0 inside."""
-        nearest = np.full(points.shape[:2], np.inf)
-        for center, size, rotation in zip(
-            self.centers, self.half_extents, self.rotations, strict=True
-        ):
-            outside = np.maximum(np.abs((points - center) @ rotation) - size, 0)
-            nearest = np.minimum(nearest, np.einsum("bsi,bsi->bs", outside, outside))
-        return np.sqrt(nearest)
-
-
-# Of its own code, and checked by itself: see `shapes.py`.
-_KINDS = for_every_kind("certificate", box=Boxes)
-
-
-def obstacles_of(scene: Scene) -> list[Boxes]:
-    """The existing obstacles of a scene, by kind, or what is wrong with them."""
-    return [kind(scene) for kind in _KINDS.values()]
-
-
-def _refuse_unless(good: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:
-    bad = ~good.all(axis=1)
-    if bad.any():
-        raise InputError(
-            f"existing box {int(bad.argmax())} of the scene has {name} "
-            f"{values[bad.argmax()].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
-            "make scenes with make_scene"
-        )
+    spheres: np.ndarray  # [S E]
+    pairs: np.ndarray  # [P E] of the distance between two spheres
+    links: np.ndarray  # [L E] of any sphere of a link
+    link_pairs: np.ndarray  # [Q E] of the distance of any two
 
 
 class Spheres:
@@ -84,7 +32,8 @@ class Spheres:
             raise InputError(f"geoms of {robot.name} have radii that are not positive; mend them")
         self.robot = robot
         owner, bodies, centers, radii = [], [], [], []
-        for g in range(len(robot.geom_radii)):
+        # Spheres of one body lie side by side: they are a link.
+        for g in np.argsort(robot.geom_bodies, kind="stable"):
             radius, steps = robot.geom_radii[g], np.zeros(1)
             if robot.geom_types[g] == CAPSULE:
                 length = 2 * np.linalg.norm(robot.geom_axes[g])
@@ -96,10 +45,15 @@ class Spheres:
                 bodies.append(int(robot.geom_bodies[g]))
                 centers.append(robot.geom_centers[g] + step * robot.geom_axes[g])
                 radii.append(radius)
-        self.bodies, self.centers = np.array(bodies), np.array(centers)
+        self.bodies, self.centers = np.array(bodies), np.array(centers).T
         self.radii = np.array(radii)
         self.reach = np.array([self._reach(b, c) for b, c in zip(bodies, centers, strict=True)])
-        self.moves = self.reach.any(axis=1)
+        axes = np.zeros((robot.num_dof, 3))
+        for joint in (joint for body in robot.bodies for joint in body.joints):
+            axes[joint.index] = joint.axis
+        # [D 3 3], whose products with vectors are those of the axes: row i is e_i x axis.
+        self.crosses = np.cross(np.eye(3), axes[:, None])
+        self._find_links()
         owner = np.array(owner)
         pairs = [
             (i, j)
@@ -107,11 +61,32 @@ class Spheres:
             for i in np.flatnonzero(owner == a)
             for j in np.flatnonzero(owner == b)
         ]
-        self.pairs = np.array(pairs, int).reshape(-1, 2)
+        self._sort_pairs(np.array(pairs, int).reshape(-1, 2))
+
+    def _find_links(self) -> None:
+        """What the spheres of a body have in common: L links, and a ball around each."""
+        self.links, self.first, self.link_of, self.count = np.unique(
+            self.bodies, return_index=True, return_inverse=True, return_counts=True
+        )
+        self.upstream = self._upstream()[self.links]  # [L D]
+        self.moving = np.flatnonzero(self.upstream.any(axis=1))
+        low = np.minimum.reduceat(self.centers, self.first, axis=1)
+        high = np.maximum.reduceat(self.centers, self.first, axis=1)
+        self.middles = (low + high) / 2
+        beyond = np.sqrt(sum_of_squares(self.centers - self.middles[:, self.link_of]))
+        self.ball_radii = np.maximum.reduceat(beyond + self.radii, self.first)
+
+    def _sort_pairs(self, pairs: np.ndarray) -> None:
+        """Pairs `[P, 2]` of spheres, those of the same two links side by side."""
+        key = self.link_of[pairs] @ [len(self.links), 1]
+        self.pairs = pairs[np.argsort(key, kind="stable")]
+        key, self.pair_first, self.pair_count = np.unique(
+            np.sort(key), return_index=True, return_counts=True
+        )
+        self.link_pairs = np.stack(np.divmod(key, len(self.links)))
         first, second = self.pairs.T
         # A joint that carries both spheres leaves their distance alone.
-        upstream = self._upstream()
-        shared = upstream[self.bodies[first]] & upstream[self.bodies[second]]
+        shared = self.upstream[self.link_of[first]] & self.upstream[self.link_of[second]]
         self.pair_reach = np.where(shared, 0.0, self.reach[first] + self.reach[second])
 
     def _upstream(self) -> np.ndarray:
@@ -159,73 +134,21 @@ class Spheres:
         model = self.robot.mj_model
         return float(np.abs(model.jnt_range[joint.index] - model.qpos0[joint.index]).max())
 
-    def clearance_and_need(
-        self, obstacles: list["Boxes"], q: np.ndarray, half: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """What keeps the arm free at q `[B, D]` and while it moves by up to `half` `[B, D]`.
+    def rates(self, change: np.ndarray) -> Rates:
+        """Bounds for motions by up to `change` `[D, E]` of each joint."""
+        spheres, pairs = (
+            np.zeros((len(reach), change.shape[1])) for reach in (self.reach, self.pair_reach)
+        )
+        for j, by in enumerate(change):
+            spheres += self.reach[:, j, None] * by
+            pairs += self.pair_reach[:, j, None] * by
+        links = np.maximum.reduceat(spheres, self.first, axis=0)
+        return Rates(spheres, pairs, links, np.maximum.reduceat(pairs, self.pair_first, axis=0))
 
-        Returns:
-            Clearance `[B]`, m; and the largest share of a gap `[B]` that the motion can use up:
-            below 1 nothing is touched.
-        """
-        centers = self._world_centers(q)  # [B S 3]
-        clearance, need = np.full(len(q), np.inf), np.zeros(len(q))
-
-        def account(gaps: np.ndarray, motion: np.ndarray) -> None:
-            nonlocal clearance, need
-            clearance = np.minimum(clearance, gaps.min(axis=1, initial=np.inf))
-            share = motion / np.maximum(gaps, 1e-12)
-            need = np.maximum(need, share.max(axis=1, initial=0.0))
-
-        motion = half @ self.reach[self.moves].T
-        moving, radii = centers[:, self.moves], self.radii[self.moves]
-        nearest = np.full(motion.shape, np.inf)
-        for kind in obstacles:
-            nearest = np.minimum(nearest, kind.distances(moving))
-        account(nearest - radii, motion)
-        first, second = self.pairs.T
-        between = centers[:, first] - centers[:, second]
-        apart = np.sqrt(np.einsum("bpi,bpi->bp", between, between))
-        account(apart - self.radii[first] - self.radii[second], half @ self.pair_reach.T)
-        return clearance, need
-
-    def _world_centers(self, q: np.ndarray) -> np.ndarray:
-        rotations = [np.broadcast_to(np.eye(3), (len(q), 3, 3))]
-        positions = [np.zeros((len(q), 3))]
-        # Bodies lie as the MJCF places them when a joint is at its reference (`ref`).
-        reference = self.robot.mj_model.qpos0
-        for body in self.robot.bodies:  # the world comes first here: indices are shifted by one
-            rotation, position = rotations[body.parent + 1], positions[body.parent + 1]
-            position = position + rotation @ body.position
-            rotation = rotation @ body.rotation
-            for joint in body.joints:
-                value = q[:, joint.index] - reference[joint.index]
-                if not joint.hinge:
-                    position = position + (rotation @ joint.axis) * value[:, None]
-                    continue
-                anchor = position + rotation @ joint.anchor
-                rotation = rotation @ _turn(joint.axis, value)
-                position = anchor - rotation @ joint.anchor
-            rotations.append(rotation)
-            positions.append(position)
-        of_sphere = self.bodies + 1
-        rotated = np.einsum("sbij,sj->bsi", np.stack(rotations)[of_sphere], self.centers)
-        return rotated + np.stack(positions, axis=1)[:, of_sphere]
-
-
-def _turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Rotations `[B, 3, 3]` about a unit axis (Rodrigues)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.eye(3) + sin * cross + (1 - cos) * (cross @ cross)
-
-
-def _rotation(quat: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a unit quaternion w x y z."""
-    w, v = quat[0], quat[1:]
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    def same_rates(self, meters: float) -> Rates:
+        """Of one motion, by which anything may move as far as anything else."""
+        sizes = len(self.radii), len(self.pairs), len(self.links), len(self.pair_first)
+        return Rates(*(np.full((size, 1), meters) for size in sizes))
 
 
 @functools.cache

@@ -8,15 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.bounds import obstacles_of, spheres_of
-from gnnjax.errors import InputError
+from gnnjax.collision.bounds import spheres_of
+from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
+from gnnjax.collision.obstacles import Boxes, obstacles_of
+from gnnjax.errors import InputError, brief
 from gnnjax.scene.scene import Scene
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
 _SHORTEST_PIECE = 1e-4
 _FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
-_PIECES_A_BATCH = 512
+_PIECES_A_BATCH = 1024  # whose arrays fit into a core's cache
+_EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
 
 
 def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
@@ -47,32 +50,67 @@ def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
     return bool(certify_edges(robot, scene, path[:last], path[-last:]).all())
 
 
-def certify_edges(robot: Robot, scene: Scene, starts: ArrayLike, ends: ArrayLike) -> np.ndarray:
-    """`certify_path` for each straight line from `starts` to `ends` `[E, D]`; returns `[E]`."""
+def certify_edges(
+    robot: Robot,
+    scene: Scene,
+    starts: ArrayLike,
+    ends: ArrayLike,
+    owner: ArrayLike | None = None,
+) -> np.ndarray:
+    """`certify_path` for each straight line from `starts` to `ends` `[E, D]`; returns `[E]`.
+
+    Whether an edge is certified does not depend on those beside it.
+
+    Args:
+        robot: the arm, with spheres and capsules as collision geoms.
+        scene: one scene, or P scenes `[P, M, ...]`.
+        starts: `[E, D]` configurations.
+        ends: `[E, D]` configurations.
+        owner: `[E]`, in which of P scenes each edge is; None for one scene.
+
+    Raises:
+        InputError: arrays of other shapes, or a scene with boxes that are none.
+    """
     starts, ends = _configurations(robot, "starts", starts), _configurations(robot, "ends", ends)
     if len(starts) != len(ends):
         raise InputError(f"{len(starts)} starts and {len(ends)} ends; give one of each an edge")
-    # Half an ulp of single precision: limits are stored as float32.
-    slack = 1e-6
-    lower, upper = robot.joint_lower - slack, robot.joint_upper + slack
+    owner = _owners(scene, owner, len(starts))
+    obstacles = obstacles_of(scene)
+    certified = _within_limits(robot, starts) & _within_limits(robot, ends)
+    inside = np.flatnonzero(certified)
+    for first in range(0, len(inside), _EDGES_A_BLOCK):
+        edge = inside[first : first + _EDGES_A_BLOCK]
+        certified[edge] = _certify_block(robot, obstacles, starts[edge], ends[edge], owner[edge])
+    return certified
+
+
+def _certify_block(
+    robot: Robot, obstacles: list[Boxes], starts: np.ndarray, ends: np.ndarray, owner: np.ndarray
+) -> np.ndarray:
+    """Certifies edges `[E, D]` within the joint limits; returns `[E]`.
+
+    Pieces are kept as fractions from 0 to 1 of the edge that they belong to. From its middle to
+    its ends, a piece moves everything by at most half its fraction of what the edge does.
+    """
+    body, lengths = spheres_of(robot), _lengths(starts, ends)
+    begin, way = starts.T.copy(), (ends - starts).T.copy()
+    rates = body.rates(np.abs(way))
     certified = np.ones(len(starts), bool)
-    for q in (starts, ends):
-        certified &= ((q >= lower) & (q <= upper)).all(axis=1)
-    body, obstacles = spheres_of(robot), obstacles_of(scene)
-    edge = np.flatnonzero(certified)
-    edge, low, high = _cut(
-        edge, starts[edge], ends[edge], _lengths(starts, ends)[edge] / _FIRST_CUT
-    )
+    whole = np.arange(len(starts)), np.zeros(len(starts)), np.ones(len(starts))
+    edge, low, high = _cut(*whole, lengths / _FIRST_CUT)
     while len(edge):
         now, later = slice(_PIECES_A_BATCH), slice(_PIECES_A_BATCH, None)
-        owner, begin, end = edge[now], low[now], high[now]
-        half = np.abs(end - begin) / 2
-        clearance, need = body.clearance_and_need(obstacles, (begin + end) / 2, half)
-        touching = (clearance <= 0) | ((need >= 1) & (_lengths(begin, end) < _SHORTEST_PIECE))
-        certified[owner[touching]] = False
-        split = need >= 1
+        of, near, far = edge[now], low[now], high[now]
+        q = begin[:, of] + (near + far) / 2 * way[:, of]
+        found = gaps_of(body, obstacles, Moments(q, owner[of], of, (far - near) / 2), rates)
+        # The largest share of a gap that the motion can use up: below 1 nothing is touched.
+        need = np.zeros(len(of))
+        np.maximum.at(need, found.moment, found.motion / np.maximum(found.gap, 1e-12))
+        certified[of[found.moment[~(found.gap > 0)]]] = False
+        certified[of[(need >= 1) & ((far - near) * lengths[of] < _SHORTEST_PIECE)]] = False
+        split = (need >= 1) & certified[of]
         # As many parts as would do if the clearance were the same all along.
-        parts = _cut(owner[split], begin[split], end[split], np.clip(need[split] * 1.2, 2, 8))
+        parts = _cut(of[split], near[split], far[split], np.clip(need[split] * 1.2, 2, 8))
         edge, low, high = (
             np.concatenate([new, old[later]])
             for new, old in zip(parts, (edge, low, high), strict=True)
@@ -80,6 +118,29 @@ def certify_edges(robot: Robot, scene: Scene, starts: ArrayLike, ends: ArrayLike
         left = certified[edge]
         edge, low, high = edge[left], low[left], high[left]
     return certified
+
+
+def _within_limits(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Whether configurations `[N, D]` are numbers within the joint limits, `[N]`."""
+    # Half an ulp of single precision: limits are stored as float32.
+    slack = 1e-6
+    inside = (q >= robot.joint_lower - slack) & (q <= robot.joint_upper + slack)
+    return np.all(inside, axis=1)
+
+
+def _owners(scene: Scene, owner: ArrayLike | None, num: int) -> np.ndarray:
+    """The scene of each of `num` edges, or what is wrong with them."""
+    if np.ndim(scene.mask) < 2 and owner is None:
+        return np.zeros(num, int)
+    array = np.asarray(owner)
+    num_scenes = len(scene.mask) if np.ndim(scene.mask) == 2 else 0
+    good = array.shape == (num,) and array.dtype.kind in "iu"
+    if not good or not ((array >= 0) & (array < num_scenes)).all():
+        raise InputError(
+            f"owner is {brief(owner)} for {num} edges and {num_scenes} scenes in a batch; give the "
+            "number of its scene an edge, and none where there is one scene"
+        )
+    return array.astype(int)
 
 
 def _configurations(robot: Robot, name: str, values: ArrayLike) -> np.ndarray:
@@ -101,36 +162,72 @@ def _lengths(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def _cut(
-    owner: np.ndarray, low: np.ndarray, high: np.ndarray, parts: np.ndarray
+    edge: np.ndarray, low: np.ndarray, high: np.ndarray, parts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cuts lines into at least `parts` equal pieces, in order; neighbours share their ends."""
+    """Cuts pieces into at least `parts` equal pieces, in order; neighbours share their ends."""
     parts = np.maximum(1, np.ceil(parts)).astype(int)
-    row = np.repeat(np.arange(len(owner)), parts)
-    step = np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts)
+    row, step = members(np.zeros(len(parts), int), parts)
     number = parts[row]
 
     def at(index: np.ndarray) -> np.ndarray:
-        fraction = (index / number)[:, None]
+        fraction = index / number
         point = low[row] + fraction * (high - low)[row]
         # The very end, not what rounding makes of it.
         return np.where(fraction == 1, high[row], point)
 
-    return owner[row], at(step), at(step + 1)
+    return edge[row], at(step), at(step + 1)
+
+
+def clearances(
+    robot: Robot,
+    scene: Scene,
+    q: np.ndarray,
+    owner: np.ndarray | None = None,
+    most: float = np.inf,
+) -> np.ndarray:
+    """Distances [m] of the arm at q `[B, D]` to boxes and itself, `[B]`; negative in collision.
+
+    Infinite where there is nothing, NaN where q is not finite.
+
+    Args:
+        robot: the arm.
+        scene: one scene, or P scenes `[P, M, ...]`.
+        q: configurations.
+        owner: `[B]`, in which of P scenes each is; None for one scene.
+        most: what is farther away than this [m] may count as if it were nothing.
+    """
+    q = _configurations(robot, "q", q)
+    owner, obstacles, body = _owners(scene, owner, len(q)), obstacles_of(scene), spheres_of(robot)
+    rates = body.same_rates(most)
+    found = np.where(np.isfinite(q).all(axis=1), np.inf, np.nan)
+    finite = np.flatnonzero(found == np.inf)
+    for first in range(0, len(finite), _PIECES_A_BATCH):
+        rows = finite[first : first + _PIECES_A_BATCH]
+        at = Moments(q[rows].T.copy(), owner[rows], np.zeros(len(rows), int), np.ones(len(rows)))
+        gaps = gaps_of(body, obstacles, at, rates)
+        np.minimum.at(found, rows[gaps.moment], gaps.gap)
+    return found
 
 
 def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
-    """Distance [m] of the arm at q `[D]` to boxes and itself; negative in collision."""
-    still = np.zeros((1, robot.num_dof))
-    q = _configurations(robot, "q[None]", np.asarray(q)[None])
-    return float(spheres_of(robot).clearance_and_need(obstacles_of(scene), q, still)[0][0])
+    """`clearances` of one configuration `[D]` in one scene."""
+    return float(clearances(robot, scene, np.asarray(q)[None])[0])
 
 
 def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Distances [m] of the arm at `[B, D]` configurations to itself, `[B]`; inf without pairs."""
     nothing = Scene(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, bool))
-    still = np.zeros((len(q), robot.num_dof))
-    body = spheres_of(robot)
-    return body.clearance_and_need(obstacles_of(nothing), np.asarray(q, float), still)[0]
+    return clearances(robot, nothing, q)
+
+
+def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
+    """Whether the arm's base is clear of each box, `[M]`, or `[P, M]` in P scenes.
+
+    The base is what no joint moves, which certificates and clearances leave out. True where no box
+    is. Capsules count as chains of spheres here, too.
+    """
+    (boxes,) = obstacles_of(scene)
+    return clear_of_base(spheres_of(robot), boxes).T.reshape(np.shape(scene.mask))
 
 
 def check_scene(scene: Scene) -> None:
@@ -152,8 +249,8 @@ def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: flo
         resolution: largest distance of neighbouring samples, configuration units.
     """
     path = _configurations(robot, "path", path)
-    pieces = _lengths(path[:-1], path[1:]) / resolution
-    _, starts, _ = _cut(np.arange(len(path) - 1), path[:-1], path[1:], pieces)
-    samples = np.concatenate([starts, path[-1:]])
-    still = np.zeros((1, robot.num_dof))
-    return float(spheres_of(robot).clearance_and_need(obstacles_of(scene), samples, still)[0].min())
+    starts, ends = path[:-1], path[1:]
+    whole = np.arange(len(starts)), np.zeros(len(starts)), np.ones(len(starts))
+    edge, low, _ = _cut(*whole, _lengths(starts, ends) / resolution)
+    samples = starts[edge] + low[:, None] * (ends - starts)[edge]
+    return float(clearances(robot, scene, np.concatenate([samples, path[-1:]])).min())

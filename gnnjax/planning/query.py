@@ -1,18 +1,15 @@
 """A query and its answer: what every planner checks first and what it returns."""
 
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import check_scene, configuration_clearance
-from gnnjax.collision.fused import boxes_clear
-from gnnjax.errors import InputError
+from gnnjax.collision.certify import base_clear, check_scene, clearances
+from gnnjax.collision.obstacles import scene_faults
+from gnnjax.errors import InputError, one_line
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene
 
@@ -66,38 +63,92 @@ def check_query(
             base.
     """
     check_scene(scene)
-    clear = base_clear(robot, scene)
-    if not clear.all():
-        raise InputError(
-            f"box {int(np.argmin(clear))} of the scene touches the base of {robot.name}; "
-            "move it away"
-        )
     ends = []
     for name, q in (("start", start), ("goal", goal)):
         try:
-            with np.errstate(over="ignore"):  # infinite in float32, and refused as such
-                q = np.asarray(q, dtype=np.float32)
+            q = _single(q)
         except (TypeError, ValueError):
             raise InputError(f"{name} {q!r} is not a list of numbers") from None
         if q.shape != (robot.num_dof,):
             raise InputError(
                 f"{name} has shape {q.shape}; {robot.name} needs {robot.num_dof} joint values"
             )
-        bad = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))
-        if bad.any():
-            joint = int(bad.argmax())
-            raise InputError(
-                f"{name} has {q[joint]:.4g} for joint {joint + 1}; it must lie between "
+        ends.append(q)
+    query = jax.tree.map(lambda x: np.asarray(x)[None], Problem(ends[0], ends[1], scene))
+    (reason,) = check_queries(robot, query)
+    if reason is not None:
+        raise InputError(reason)
+    return ends[0], ends[1]
+
+
+def check_queries(robot: Robot, problems: Problem) -> list[str | None]:
+    """What is wrong with each of P problems, as `check_query` says it; None where nothing is.
+
+    Args:
+        robot: the arm.
+        problems: `[P, ...]`.
+
+    Raises:
+        InputError: arrays of other shapes, which are no problems at all.
+    """
+    reasons = scene_faults(problems.scene)
+    wanted = (len(reasons), robot.num_dof)
+    starts, goals = _single(problems.start), _single(problems.goal)
+    if np.ndim(problems.scene.mask) != 2 or not starts.shape == goals.shape == wanted:
+        raise InputError(
+            f"starts have shape {starts.shape}, goals {goals.shape} and the masks of scenes "
+            f"{np.shape(problems.scene.mask)}; {robot.name} needs [P, {robot.num_dof}] twice and "
+            "[P, M]"
+        )
+    rows = np.flatnonzero([reason is None for reason in reasons])
+    scenes = jax.tree.map(lambda x: np.asarray(x)[rows], problems.scene)
+    ends = np.concatenate([starts[rows], goals[rows]])
+    owner = np.tile(np.arange(len(rows)), 2)
+    clearance = clearances(robot, scenes, ends, owner, most=0.0).reshape(2, -1)
+    found = [
+        _base_reasons(robot, scenes),
+        _end_reasons(robot, "start", starts[rows], clearance[0]),
+        _end_reasons(robot, "goal", goals[rows], clearance[1]),
+    ]
+    for row, *why in zip(rows, *found, strict=True):
+        reasons[row] = next(filter(None, why), None)
+    return [reason and one_line(reason) for reason in reasons]
+
+
+def _base_reasons(robot: Robot, scenes: Scene) -> list[str | None]:
+    """Which box stands in the base, for each of P scenes."""
+    clear = base_clear(robot, scenes)
+    return [
+        None
+        if row.all()
+        else f"box {row.argmin()} of the scene touches the base of {robot.name}; move it away"
+        for row in clear
+    ]
+
+
+def _end_reasons(robot: Robot, name: str, q: np.ndarray, clearance: np.ndarray) -> list[str | None]:
+    """What is wrong with configurations `[P, D]` that have so much clearance `[P]`."""
+    reasons: list[str | None] = [None] * len(q)
+    outside = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))
+    for i in np.flatnonzero(outside.any(axis=1) | (clearance <= 0)):
+        if outside[i].any():
+            joint = int(outside[i].argmax())
+            reasons[i] = (
+                f"{name} has {q[i, joint]:.4g} for joint {joint + 1}; it must lie between "
                 f"{robot.joint_lower[joint]:.4g} and {robot.joint_upper[joint]:.4g}"
             )
-        clearance = configuration_clearance(robot, scene, q)
-        if clearance <= 0:
-            raise InputError(
-                f"{name} {np.round(q, 4).tolist()} is in collision "
-                f"({-1e3 * clearance:.1f} mm deep); choose a free configuration"
-            )
-        ends.append(q)
-    return ends[0], ends[1]
+            continue
+        reasons[i] = (
+            f"{name} {np.round(q[i], 4).tolist()} is in collision "
+            f"({-1e3 * clearance[i]:.1f} mm deep); choose a free configuration"
+        )
+    return reasons
+
+
+def _single(q: ArrayLike) -> np.ndarray:
+    """Configurations as planners take them."""
+    with np.errstate(over="ignore"):  # infinite in float32, and refused as such
+        return np.asarray(q, dtype=np.float32)
 
 
 def path_length(path: np.ndarray) -> float:
@@ -125,15 +176,3 @@ def make_plan(path: np.ndarray | None, reason: str, num_dof: int, **costs: Any) 
         configuration_checks=costs["sampling_checks"] + costs["search_checks"],
         **costs,
     )
-
-
-def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
-    """Tells for every box of a scene whether the arm's base is clear of it, `[M]`."""
-    return np.asarray(_base_clear(robot)(scene))
-
-
-@functools.cache
-def _base_clear(robot: Robot) -> Callable[[Scene], jax.Array]:
-    """The test of an arm's base against boxes, compiled."""
-    home = jnp.asarray(robot.home)
-    return jax.jit(functools.partial(boxes_clear, robot, q=home, base_only=True))

@@ -1,0 +1,171 @@
+"""The gaps between the arm and what it may touch, at many configurations at once.
+
+Kinematics and distances of the certificate, in NumPy and double precision, apart from the planning
+kernels. Arrays have their components first and what they are computed for last, see `obstacles.py`.
+"""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from gnnjax.collision.bounds import Rates, Spheres
+from gnnjax.collision.obstacles import Boxes, sum_of_squares
+
+# m; added to every motion, for what double precision rounds off. That is less than 1e-11 m among
+# numbers below 1e4 m.
+_ROUNDING = 1e-9
+
+
+class Moments(NamedTuple):
+    """B configurations, and the motions whose middles they are."""
+
+    q: np.ndarray  # [D B]
+    scene: np.ndarray  # [B] in which scene each is
+    motion: np.ndarray  # [B] of which motion it is a part
+    share: np.ndarray  # [B] how much of that is done until the part's ends, at most
+
+
+class Gaps(NamedTuple):
+    """Whatever may touch: N pairs of a sphere and an obstacle, or of two spheres."""
+
+    moment: np.ndarray  # [N] at which of the moments
+    gap: np.ndarray  # [N] m between their surfaces; negative in collision
+    motion: np.ndarray  # [N] m, that the gap may shrink by, at most
+
+
+def gaps_of(body: Spheres, obstacles: list[Boxes], at: Moments, rates: Rates) -> Gaps:
+    """The gaps that a motion might use up, to obstacles and of the arm to itself.
+
+    What is left out is farther apart than it can move: the gap of a sphere to an obstacle is at
+    least that of the ball around all spheres of its link to the obstacle, and this at least that
+    to a ball around the obstacle; none of the link's spheres moves more than the one that moves
+    most. Likewise for two links. Comparisons are written so that what is not a number stays.
+
+    Links that no joint moves are not compared with obstacles: no configuration changes the
+    outcome, see `clear_of_base`.
+    """
+    frames = _frames(body, at.q)
+    middles = _place(frames, body.middles[:, :, None])  # [3 L B]
+    found = [_gaps_to(body, kind, at, rates, frames, middles) for kind in obstacles]
+    found.append(_gaps_within(body, at, rates, frames, middles))
+    return Gaps(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _gaps_to(
+    body: Spheres, kind: Boxes, at: Moments, rates: Rates, frames: np.ndarray, middles: np.ndarray
+) -> Gaps:
+    # Balls of links and balls of obstacles.
+    reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
+    centers, radii, exists = (
+        x.take(at.scene, axis=-1) for x in (kind.centers, kind.radii, kind.exists)
+    )
+    apart = sum_of_squares(middles[:, body.moving, None] - centers[:, None])  # [L M B]
+    near = exists & ~(apart > (reach[body.moving, None] + radii) ** 2)
+    link, thing, moment = np.unravel_index(np.flatnonzero(near), near.shape)
+    link = body.moving[link]
+    # Balls of links and the obstacles themselves.
+    apart = kind.distances(_pick(middles, link, moment), thing, at.scene[moment])
+    near = ~(apart > _pick(reach, link, moment))
+    link, thing, moment = link[near], thing[near], moment[near]
+    # Every sphere of the links that are left.
+    row, sphere = members(body.first[link], body.count[link])
+    link, thing, moment = link[row], thing[row], moment[row]
+    points = _place(_pick(frames, link, moment), body.centers[:, sphere])
+    apart = kind.distances(points, thing, at.scene[moment])
+    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+    return Gaps(moment, apart - body.radii[sphere], motion)
+
+
+def _gaps_within(
+    body: Spheres, at: Moments, rates: Rates, frames: np.ndarray, middles: np.ndarray
+) -> Gaps:
+    a, b = body.link_pairs
+    reach = (body.ball_radii[a] + body.ball_radii[b])[:, None] + _motion(rates.link_pairs, at)
+    near = ~(sum_of_squares(middles[:, a] - middles[:, b]) > reach**2)  # [Q B]
+    couple, moment = np.unravel_index(np.flatnonzero(near), near.shape)
+    row, pair = members(body.pair_first[couple], body.pair_count[couple])
+    couple, moment = couple[row], moment[row]
+    first, second = body.pairs[pair].T
+    between = sum_of_squares(
+        _place(_pick(frames, a[couple], moment), body.centers[:, first])
+        - _place(_pick(frames, b[couple], moment), body.centers[:, second])
+    )
+    gap = np.sqrt(between) - body.radii[first] - body.radii[second]
+    motion = _pick(rates.pairs, pair, at.motion[moment]) * at.share[moment] + _ROUNDING
+    return Gaps(moment, gap, motion)
+
+
+def clear_of_base(body: Spheres, kind: Boxes) -> np.ndarray:
+    """Whether obstacles are clear of the links that no joint moves, `[M P]`."""
+    points, radii = _base(body)
+    sphere, thing, scene = np.indices((len(radii), *kind.exists.shape)).reshape(3, -1)
+    gap = kind.distances(points[:, sphere], thing, scene) - radii[sphere]
+    return (gap > 0).reshape(len(radii), *kind.exists.shape).all(axis=0) | ~kind.exists
+
+
+@functools.cache
+def _base(body: Spheres) -> tuple[np.ndarray, np.ndarray]:
+    """Centers `[3, F]` and radii `[F]` of the spheres that no joint moves."""
+    fixed = np.flatnonzero(~np.isin(body.link_of, body.moving))
+    frames = _frames(body, body.robot.home[:, None])[:, :, body.link_of[fixed], 0]
+    return _place(frames, body.centers[:, fixed]), body.radii[fixed]
+
+
+def _frames(body: Spheres, q: np.ndarray) -> np.ndarray:
+    """The axes and the origin of every link at q `[D, B]`, `[4, 3, L, B]`."""
+    # Bodies lie as the MJCF places them when a joint is at its reference (`ref`).
+    value = q - body.robot.mj_model.qpos0[:, None]
+    sin, cos = np.sin(value)[:, None, None], np.cos(value)[:, None, None]
+    # Rodrigues, [D 3 3 B].
+    cross, squared = body.crosses[..., None], (body.crosses @ body.crosses)[..., None]
+    turns = np.eye(3)[..., None] + cross * sin + squared * (1 - cos)
+    world = np.concatenate([np.eye(3), np.zeros((1, 3))])[..., None]
+    # The world comes first here: indices are shifted by one.
+    frames = [np.broadcast_to(world, (4, 3, q.shape[1]))]
+    for link in body.robot.bodies:
+        parent = frames[link.parent + 1]
+        origin = _place(parent, link.position)
+        axes = _turned(parent, link.rotation[..., None])
+        for joint in link.joints:
+            if not joint.hinge:
+                origin = origin + _along(axes, joint.axis) * value[joint.index]
+                continue
+            turned = _turned(axes, turns[joint.index])
+            if joint.anchor.any():
+                origin = origin + _along(axes, joint.anchor) - _along(turned, joint.anchor)
+            axes = turned
+        frames.append(np.concatenate([axes, origin[None]]))
+    return np.stack([frames[number + 1] for number in body.links], axis=2)
+
+
+def _along(axes: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Points `[3, ...]`, given by components `[3, ...]` along axes `[3, 3, ...]`."""
+    return axes[0] * point[0] + axes[1] * point[1] + axes[2] * point[2]
+
+
+def _place(frames: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Points in the world, of points in frames `[4, 3, ...]`."""
+    return frames[3] + _along(frames, point)
+
+
+def _turned(axes: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Axes `[3, 3, B]`, turned by rotations `[3, 3, B]` as seen along themselves."""
+    return _along(axes[:, None], turn[:, :, None])
+
+
+def _pick(array: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Of an array `[..., L, B]` the places (row, column), `[..., N]`."""
+    *rest, rows, columns = array.shape
+    return array.reshape(*rest, rows * columns).take(row * columns + column, axis=-1)
+
+
+def members(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For groups of consecutive numbers: of which group each member is, and its number."""
+    row = np.repeat(np.arange(len(count)), count)
+    return row, np.arange(len(row)) + (first - np.cumsum(count) + count)[row]
+
+
+def _motion(rates: np.ndarray, at: Moments) -> np.ndarray:
+    """How far things move, of rates `[X, E]`, `[X, B]`."""
+    return rates.take(at.motion, axis=1) * at.share + _ROUNDING
