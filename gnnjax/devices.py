@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -43,3 +44,27 @@ def over_problems(function: Callable, active: jax.Array, *args):
         )
 
     return jax.lax.map(one, (active, *args))
+
+
+def map_first(function: Callable, num: jax.Array | int, args: Any) -> Any:
+    """Maps `function` over the first `num` rows of `args`; zeros beyond.
+
+    One row after the other on a CPU, whose cores a single one keeps busy: what is compiled for a
+    row, and so each bit of its result, is then the same however many rows there are. Side by side
+    on an accelerator.
+
+    Args:
+        function: of one row.
+        num: how many rows count; an array, or the compiler would unroll a single turn.
+        args: a tree of arrays with B rows.
+    """
+    if jax.default_backend() != "cpu":
+        return jax.vmap(function)(args)
+    blank = jax.eval_shape(jax.vmap(function), args)
+
+    def one(i: jax.Array, results: Any) -> Any:
+        result = function(jax.tree.map(lambda x: x[i], args))
+        return jax.tree.map(lambda x, y: x.at[i].set(y), results, result)
+
+    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), blank)
+    return jax.lax.fori_loop(0, num, one, zeros)

@@ -25,9 +25,12 @@ from gnnjax.planning.query import path_length
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import GOAL, START
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
-from gnnjax.search.rounds import Priced, Route, cheapest_route, learn
+from gnnjax.search.rounds import Priced, Route, cheapest_routes, learn
 
-SIZES = (1, 16, 256)  # slots of a pool; one compilation each
+SIZES = (1, 16, 64, 256)  # slots of a pool; one compilation each
+# Problems whose roadmaps are made or shortened at once; the first for lone queries. No array has
+# room for one alone: a compiler that knows there is one merges other operations, and rounds otherwise.
+_CHUNKS = (2, 16)
 
 
 def size_for(num: int) -> int:
@@ -55,9 +58,7 @@ class Clock:
         return result
 
 
-@jax.jit
-def _cheapest_routes(priced: Priced) -> Route:
-    return jax.vmap(cheapest_route)(priced)
+_cheapest_routes = jax.jit(cheapest_routes)
 
 
 @jax.jit
@@ -148,6 +149,21 @@ class Search:
         self.priced, self.reading = self.clock.call(_place_in, pool, entered, at)
         self.ids[rows] = ids
 
+    def shrink(self) -> np.ndarray:
+        """Leaves slots that are free to the others, where a smaller pool would do.
+
+        Returns:
+            The slots that are left, in order.
+        """
+        live = np.flatnonzero(self.ids >= 0)
+        size = size_for(len(live))
+        if size == self.size:
+            return np.arange(size)
+        kept = np.concatenate([live, np.flatnonzero(self.ids < 0)])[:size]
+        self.priced, self.reading = self.clock.call(_take, (self.priced, self.reading), kept)
+        self.ids, self.size = self.ids[kept], size
+        return kept
+
     def route(self) -> tuple[Route, Route]:
         """The cheapest path of every slot, on the device and on the host."""
         route = self.clock.call(_cheapest_routes, self.priced)
@@ -186,6 +202,7 @@ class Run:
         self.strategy, self.options = planner.strategy, planner.options
         self.robot, self.tester, self.clock, self.seed = planner.robot, planner.tester, clock, seed
         self.pool = pool
+        self.chunk = _CHUNKS[pool > 1]
         num = len(problems.start)
         # Few shapes: the kernel is compiled for a number of scenes.
         padded = np.minimum(np.arange(16 ** int(np.ceil(np.log(num) / np.log(16)))), num - 1)
@@ -203,22 +220,24 @@ class Run:
         every = np.arange(len(self.paths))
         for first in range(0, len(every), 4 * self.pool):
             self._straight(every[first : first + 4 * self.pool])
-        for number in range(self.options.max_roadmaps):
-            open_ = self._open(every)
-            if not len(open_):
-                return
-            self._attempt(open_, number, self.strategy.give_up)
-        # No roadmap had a likely path: now the unlikely ones, each problem's least unlikely first.
-        for turn in range(self.options.max_roadmaps):
-            open_ = [i for i in self._open(every) if len(self.kept[i]) > turn]
-            for i in open_:
-                if turn == 0:
-                    self.kept[i].sort(key=lambda kept: kept.price)
-            chosen = np.array([self.kept[i][turn].number for i in open_], int)
-            for number in np.unique(chosen):
-                ids = np.array(open_)[chosen == number]
-                known = [self.kept[i][turn].known for i in ids]
-                self._attempt(ids, int(number), np.inf, known)
+        last = self.options.max_roadmaps
+        for level in range(0, last, ROADMAPS_A_LEVEL):
+            for number in range(level, min(level + ROADMAPS_A_LEVEL, last)):
+                ids = self._open(every)
+                self.roadmaps[ids] += 1
+                self._attempt(ids, np.full(len(ids), number), self.strategy.give_up)
+            # No roadmap had a likely path: now the unlikely ones, the least unlikely first.
+            for kept in self.kept:
+                kept.sort(key=lambda one: one.price)
+            for turn in range(ROADMAPS_A_LEVEL):
+                ids = self._open(np.array([i for i in every if len(self.kept[i]) > turn], int))
+                again = [self.kept[i][turn] for i in ids]
+                numbers = np.array([one.number for one in again], int)
+                # The first roadmap is of another shape.
+                for group in (np.flatnonzero(numbers == 0), np.flatnonzero(numbers > 0)):
+                    known = [again[i].known for i in group]
+                    self._attempt(ids[group], numbers[group], np.inf, known)
+            self.kept = [[] for _ in every]
 
     def _open(self, ids: np.ndarray) -> np.ndarray:
         late = self.total_time > self.options.time_limit
@@ -252,60 +271,76 @@ class Run:
         self.edge_checks[ids] += outcome.num_edges
         self.search_checks[ids] += outcome.num_checks
 
-    def _certify(self, ids: Sequence[int] | np.ndarray, paths: list[np.ndarray]) -> list[np.ndarray]:
+    def _certify(self, ids: np.ndarray, paths: list[np.ndarray]) -> list[np.ndarray]:
         """Keeps paths that are certified and shorter than what there is.
 
         Returns:
             Of each path, which of its edges are certified.
         """
-        found = []
-        for i, path in zip(ids, paths, strict=True):
-            scene = jax.tree.map(lambda x, i=i: x[i], self.problems.scene)
-            certified = certify_edges(self.robot, scene, path[:-1], path[1:])
-            found.append(certified)
+        if not len(ids):
+            return []
+        steps = np.array([len(path) - 1 for path in paths])
+        scenes = jax.tree.map(lambda x: x[ids], self.problems.scene)
+        certified = certify_edges(
+            self.robot,
+            scenes,
+            np.concatenate([path[:-1] for path in paths]),
+            np.concatenate([path[1:] for path in paths]),
+            np.repeat(np.arange(len(ids)), steps),
+        )
+        found = np.split(certified, np.cumsum(steps)[:-1])
+        for i, path, good in zip(ids, paths, found, strict=True):
             known = self.paths[i]
-            if certified.all() and (known is None or path_length(path) < path_length(known)):
+            if good.all() and (known is None or path_length(path) < path_length(known)):
                 self.paths[i] = path
         return found
 
     def _attempt(
         self,
         ids: np.ndarray,
-        number: int,
+        numbers: np.ndarray,
         max_price: float,
         known: list[Knowledge] | None = None,
     ) -> None:
         """One roadmap for each of some problems, searched in a pool with refills."""
-        size = size_for(min(len(ids), self.pool))
+        if not len(ids):
+            return
+        size = size_for(min(len(ids), self.pool, self.strategy.most_slots(numbers[0])))
         search = Search(size, self.clock, self.tester, self.scenes)
         likely = np.zeros(size, bool)  # not checked as it is, but shortened first
-        turns = np.zeros(size, int)
+        turns, number = np.zeros((2, size), int)
         waiting = 0
-        if known is None:
-            self.roadmaps[ids] += 1
         while waiting < len(ids) or (search.ids >= 0).any():
             free = np.flatnonzero(search.ids < 0)
             if waiting < len(ids) and (len(free) >= max(1, size // 8)):
                 begin = self.clock.now()
                 entering = np.arange(waiting, min(waiting + len(free), len(ids)))
                 rows = free[: len(entering)]
-                self._enter(search, rows, ids, entering, number, known)
+                for one in np.unique(numbers[entering]):
+                    chosen = numbers[entering] == one
+                    self._enter(search, rows[chosen], ids, entering[chosen], int(one), known)
+                number[rows] = numbers[entering]
                 likely[rows], turns[rows] = known is None and self.strategy.shorten, 0
                 waiting += len(entering)
-                begin = self._spend("enter", ids[entering], begin, planning=False)
+                self._spend("enter", ids[entering], begin, planning=False)
+            elif waiting == len(ids):
+                kept = search.shrink()
+                likely, turns, number, size = likely[kept], turns[kept], number[kept], search.size
             self._round(search, number, likely, turns, max_price)
 
     def _enter(self, search, rows, ids, entering, number, known) -> None:
-        num = size_for(len(entering))
-        padded = ids[np.resize(entering, num)]
-        problems = jax.tree.map(lambda x: x[padded], self.problems)
-        priced, reading = self.strategy.enter(
-            self.clock.call, problems, self.direct[padded], self.seed, number
-        )
-        if known is not None:
-            earlier = [known[i] for i in np.resize(entering, num)]
-            priced = priced._replace(known=jax.tree.map(lambda *x: np.stack(x), *earlier))
-        search.enter(rows, ids[entering], (priced, reading))
+        for first in range(0, len(entering), self.chunk):
+            part = slice(first, first + self.chunk)
+            padded = np.resize(entering[part], self.chunk)
+            problems = jax.tree.map(lambda x, at=ids[padded]: x[at], self.problems)
+            priced, reading = self.strategy.enter(
+                self.clock.call, problems, self.direct[ids[padded]], len(entering[part]), self.seed, number
+            )
+            if known is not None:
+                earlier = [known[i] for i in padded]
+                priced = priced._replace(known=jax.tree.map(lambda *x: np.stack(x), *earlier))
+            search.enter(rows[part], ids[entering[part]], (priced, reading))
+        jax.block_until_ready(search.priced)
 
     def _round(self, search, number, likely, turns, max_price) -> None:
         begin = self.clock.now()
@@ -322,7 +357,7 @@ class Run:
         for row, price in zip(live[dear], prices[dear], strict=True):
             assert search.priced is not None
             status = jax.tree.map(lambda x, row=row: np.asarray(x[row]), search.priced.known)
-            self.kept[search.ids[row]].append(Kept(float(price), number, status))
+            self.kept[search.ids[row]].append(Kept(float(price), int(number[row]), status))
         search.ids[live[none | dear | spent]] = -1
         live = live[~(none | dear | spent)]
         long = host.num[live] > 2
@@ -365,14 +400,20 @@ class Run:
         begin = self.clock.now()
         ids = search.ids[rows]
         num = size_for(len(rows))
-        padded = np.resize(rows, num)
-        readings = self.clock.call(_take, search.reading, padded)
         inner = Search(num, self.clock, self.tester, self.scenes)
-        inner.priced = self.clock.call(
-            self.strategy.shortcuts, self.strategy.weights, readings, host.points[padded]
-        )
-        inner.ids[: len(rows)] = ids
-        asked, kept = np.zeros(num, int), np.zeros(num, bool)
+        for first in range(0, len(rows), self.chunk):
+            part = np.arange(first, min(first + self.chunk, len(rows)))
+            padded = rows[np.resize(part, self.chunk)]
+            readings = self.clock.call(_take, search.reading, padded)
+            priced = self.clock.call(
+                self.strategy.shortcuts,
+                self.strategy.weights,
+                readings,
+                host.points[padded],
+                np.int32(len(part)),
+            )
+            inner.enter(part, ids[part], (priced, ()))
+        asked, own, kept = np.zeros(num, int), np.arange(num), np.zeros(len(rows), bool)
         jax.block_until_ready(inner.priced)
         begin = self._spend("shortcuts", ids, begin)
         while (inner.ids >= 0).any():
@@ -396,14 +437,16 @@ class Run:
             certified = self._certify(inner.ids[through], paths)
             begin = self._spend("short certify", inner.ids[through], begin)
             for row, good in zip(through, certified, strict=True):
-                kept[row] = good.all()
                 tested.edges[row, np.flatnonzero(~good)] = INVALID
-                if kept[row]:
-                    inner.ids[row] = -1
+                if good.all():
+                    kept[own[row]], inner.ids[row] = True, -1
             if (inner.ids >= 0).any():
                 inner.learn(route, tested.nodes, tested.edges)
-        return kept[: len(rows)]
+                slots = inner.shrink()
+                asked, own = asked[slots], own[slots]
+        return kept
 
 
-MOST_ROUNDS = 40  # of a roadmap
+ROADMAPS_A_LEVEL = 4
+MOST_ROUNDS = 25  # of a roadmap
 MOST_SHORTCUTS = 8  # edges; what needs more is hardly ever free

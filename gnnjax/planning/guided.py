@@ -8,20 +8,54 @@ import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.devices import map_first
 from gnnjax.errors import InputError
 from gnnjax.guide.guide import RISK_WEIGHT, Guide
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius
 from gnnjax.roadmap.paths import for_each_edge
-from gnnjax.roadmap.stored import NUM_LOCAL, add_local_nodes, insert_ends, stored_roadmap
+from gnnjax.roadmap.stored import (
+    NUM_LOCAL,
+    add_local_nodes,
+    insert_ends,
+    local_offsets,
+    stored_roadmap,
+)
 from gnnjax.search.knowledge import UNKNOWN, VALID, Knowledge
 from gnnjax.search.rounds import Priced
 from gnnjax.search.shorten import PATH_POINTS, shortened, spread_along
 
 # Most pieces that a motion is looked at in; the longest edge is that from start to goal.
-EDGE_PIECES, SHORTCUT_PIECES, ALL_PIECES = 16, 12, 8
+EDGE_PIECES, SHORTCUT_PIECES, LOCAL_PIECES = 16, 12, 6
 
+_BLOCK = 256  # motions that are priced at once
+
+
+def price_wanted(
+    price: Any, nodes: jax.Array, near: jax.Array, wanted: jax.Array
+) -> jax.Array:
+    """Prices of the motions from the first rows of `nodes` to their neighbors, where wanted.
+
+    Args:
+        price: `(starts [B D], ends [B D]) -> [B]`.
+        nodes: `[N D]`.
+        near: `[R K]` neighbors of the first R nodes.
+        wanted: `[R K]`.
+    """
+    num = wanted.size
+    (slots,) = jnp.nonzero(wanted.ravel(), size=num + _BLOCK, fill_value=num)
+
+    def ask(i: jax.Array, values: jax.Array) -> jax.Array:
+        slot = jax.lax.dynamic_slice_in_dim(slots, i * _BLOCK, _BLOCK)
+        ends = nodes[near.ravel()[slot]]
+        return values.at[slot].set(price(nodes[slot // near.shape[1]], ends), mode="drop")
+
+    blocks = (wanted.sum() + _BLOCK - 1) // _BLOCK
+    return jax.lax.fori_loop(0, blocks, ask, jnp.zeros(num)).reshape(wanted.shape)
+
+
+_local_offsets = jax.jit(local_offsets, static_argnums=1)
 _WIDE_NODES = (400, 600)
 _ROADMAPS_A_SEED = 1000  # seeds of stored roadmaps: of query seed s, from 1000 s on
 
@@ -42,45 +76,52 @@ class Guided:
         self.radius, self.wide_radius = (default_radius(robot, n) for n in self.sizes)
         self.describe = f"{num_nodes} nodes, then {wide} and {2 * NUM_LOCAL} around the ends"
 
+    def most_slots(self, number: int) -> int:
+        """Of a pool; later roadmaps are large."""
+        return 64 if number else 256
+
     def enter(
-        self, call: Any, problems: Problem, direct: np.ndarray, seed: int, number: int
+        self, call: Any, problems: Problem, direct: np.ndarray, num: int, seed: int, number: int
     ) -> tuple[Priced, Any]:
         """Roadmaps of B problems, priced, and what the guide reads of their scenes."""
-        stored, table = self._stored(seed, number)
+        stored, table, offsets = self._stored(seed, number)
         if number == 0:
-            return call(self._first, self.weights, stored, table, problems, direct)
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        return call(self._later, self.weights, stored, key, problems, direct)
+            return call(self._first, self.weights, stored, table, problems, direct, np.int32(num))
+        return call(self._later, self.weights, stored, table, offsets, problems, direct, np.int32(num))
 
     @functools.lru_cache(maxsize=32)
-    def _stored(self, seed: int, number: int) -> tuple[Roadmap, Any]:
+    def _stored(self, seed: int, number: int) -> tuple[Roadmap, Any, jax.Array]:
         size = self.sizes[min(number, 1)]
         stored = stored_roadmap(self.robot, size - 2, seed * _ROADMAPS_A_SEED + number)
         tabulate = self.guide.tabulate
-        return stored, tabulate(stored) if tabulate is not None and number == 0 else None
+        key = jax.random.fold_in(jax.random.key(seed), number)
+        offsets = jax.block_until_ready(_local_offsets(key, self.robot.num_dof))
+        return stored, None if tabulate is None else tabulate(stored), offsets
 
     @functools.partial(jax.jit, static_argnums=0)
-    def _first(self, weights, stored, table, problems: Problem, direct) -> tuple[Priced, Any]:
+    def _first(self, weights, stored, table, problems: Problem, direct, num) -> tuple[Priced, Any]:
         guide = self.guide
 
         def with_ends(problem: Problem) -> tuple[Roadmap, Any]:
             roadmap = insert_ends(stored, problem.start, problem.goal, self.radius)
             return roadmap, guide.read(weights, problem.scene)
 
-        roadmaps, readings = jax.vmap(with_ends)(problems)
+        roadmaps, readings = map_first(with_ends, num, problems)
         if guide.stored is None:
 
-            def rough(roadmap: Roadmap, reading: Any) -> jax.Array:
+            def rough(turn: tuple[Roadmap, Any]) -> jax.Array:
+                roadmap, reading = turn
                 at_node = guide.prices(weights, reading).nodes(roadmap.nodes)
                 at_node = at_node.at[: GOAL + 1].set(0.0)  # start and goal are valid
                 return (at_node[:, None] + at_node[roadmap.neighbors]) / 2
 
-            price = jax.vmap(rough)(roadmaps, readings)
+            price = map_first(rough, num, (roadmaps, readings))
         else:
             inner = guide.stored(weights, readings, table)
 
-            def joined(roadmap: Roadmap, reading: Any, inner: jax.Array) -> jax.Array:
-                num, num_slots = roadmap.neighbors.shape
+            def joined(turn: tuple[Roadmap, Any, jax.Array]) -> jax.Array:
+                roadmap, reading, inner = turn
+                num_nodes, num_slots = roadmap.neighbors.shape
                 near = roadmap.neighbors[: GOAL + 1]
                 starts = jnp.repeat(roadmap.nodes[: GOAL + 1], num_slots, axis=0)
                 ends = roadmap.nodes[near.ravel()]
@@ -90,27 +131,52 @@ class Guided:
                 own = own.at[GOAL, 0].set(own[START, 0])
                 price = jnp.pad(inner, ((2, 0), (0, 2))).at[: GOAL + 1].set(own)
                 for end in (START, GOAL):
-                    column = jnp.zeros(num).at[near[end]].max(own[end])
+                    column = jnp.zeros(num_nodes).at[near[end]].max(own[end])
                     price = price.at[2:, num_slots - 2 + end].set(column[2:])
                 return price
 
-            price = jax.vmap(joined)(roadmaps, readings, inner)
+            price = map_first(joined, num, (roadmaps, readings, inner))
         return self._priced(roadmaps, price, direct, judged=guide.stored is not None), readings
 
     @functools.partial(jax.jit, static_argnums=0)
-    def _later(self, weights, stored, key, problems: Problem, direct) -> tuple[Priced, Any]:
+    def _later(self, weights, stored, table, offsets, problems: Problem, direct, num) -> tuple[Priced, Any]:
         guide = self.guide
         limits = self.robot.joint_lower, self.robot.joint_upper
+        num_special, (num_stored, num_slots) = 2 + 2 * NUM_LOCAL, stored.neighbors.shape
+        readings = map_first(lambda scene: guide.read(weights, scene), num, problems.scene)
+        if guide.stored is None:
 
-        def one(problem: Problem) -> tuple[Roadmap, Any, jax.Array]:
-            reading = guide.read(weights, problem.scene)
+            def every(reading: Any) -> jax.Array:
+                motions = guide.prices(weights, reading).motions
+                return for_each_edge(stored, lambda a, b: motions(a, b, LOCAL_PIECES))
+
+            inner = map_first(every, num, readings)
+        else:
+            inner = guide.stored(weights, readings, table)
+
+        def one(turn: tuple[Problem, Any, jax.Array]) -> tuple[Roadmap, jax.Array]:
+            problem, reading, inner = turn
             prices = guide.prices(weights, reading)
             ends = problem.start, problem.goal
-            roadmap = add_local_nodes(key, stored, *ends, self.wide_radius, limits, prices.nodes)
-            every = for_each_edge(roadmap, lambda a, b: prices.motions(a, b, ALL_PIECES))
-            return roadmap, reading, every
+            roadmap = add_local_nodes(offsets, stored, *ends, self.wide_radius, limits, prices.nodes)
+            # Edges of special nodes, from the smaller node; the others are stored.
+            near = roadmap.neighbors[:num_special]
+            own = jnp.arange(num_special)[:, None]
+            wanted = roadmap.neighbor_mask[:num_special] & (own < near)
+            found = price_wanted(
+                lambda a, b: prices.motions(a, b, LOCAL_PIECES), roadmap.nodes, near, wanted
+            )
+            whole = jnp.zeros((num_special, len(roadmap.nodes))).at[own, near].max(found)
+            both = whole.at[:, :num_special].max(whole[:, :num_special].T)
+            stored_near = roadmap.neighbors[num_special:, num_slots:]
+            column = jnp.arange(num_special, num_special + num_stored)[:, None]
+            beside = jnp.where(
+                stored_near < num_special, both[jnp.minimum(stored_near, num_special - 1), column], 0.0
+            )
+            price = jnp.concatenate([both[own, near], jnp.concatenate([inner, beside], axis=1)])
+            return roadmap, price
 
-        roadmaps, readings, price = jax.lax.map(one, problems)
+        roadmaps, price = map_first(one, num, (problems, readings, inner))
         return self._priced(roadmaps, price, direct, judged=True), readings
 
     def _priced(self, roadmaps: Roadmap, price: jax.Array, direct: jax.Array, judged: bool) -> Priced:
@@ -127,20 +193,22 @@ class Guided:
         )
 
     @functools.partial(jax.jit, static_argnums=0)
-    def judge(self, weights, readings, starts: jax.Array, ends: jax.Array) -> jax.Array:
+    def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
         """Prices of motions `[B E]`."""
 
-        def one(reading: Any, starts: jax.Array, ends: jax.Array) -> jax.Array:
+        def one(turn: tuple[Any, jax.Array, jax.Array]) -> jax.Array:
+            reading, starts, ends = turn
             motions = self.guide.prices(weights, reading).motions
             return RISK_WEIGHT * motions(starts, ends, EDGE_PIECES)
 
-        return jax.vmap(one)(readings, starts, ends)
+        return map_first(one, num, (readings, starts, ends))
 
     @functools.partial(jax.jit, static_argnums=0)
-    def shortcuts(self, weights, readings, lines: jax.Array) -> Priced:
+    def shortcuts(self, weights, readings, lines: jax.Array, num) -> Priced:
         """Path roadmaps of paths `[B N D]` that are shortened in the guide's eyes, priced."""
 
-        def one(reading: Any, line: jax.Array) -> Priced:
+        def one(turn: tuple[Any, jax.Array]) -> Priced:
+            reading, line = turn
             motions = self.guide.prices(weights, reading).motions
             roadmap, price = shortened(
                 spread_along(line, PATH_POINTS),
@@ -150,4 +218,4 @@ class Guided:
             known = Knowledge(jnp.zeros(price.shape, jnp.int8), nodes)
             return Priced(roadmap, price, jnp.ones(price.shape, bool), known)
 
-        return jax.vmap(one)(readings, lines)
+        return map_first(one, num, (readings, lines))

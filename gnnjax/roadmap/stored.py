@@ -12,21 +12,23 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import self_clearance
 from gnnjax.errors import InputError
-from gnnjax.roadmap.graph import Roadmap, connect, connect_where, default_radius, node_bucket
+from gnnjax.roadmap.graph import GOAL, START, Roadmap, connect, default_radius, node_bucket
 from gnnjax.roadmap.sobol import sobol_points
 
 _SLOTS = 32
 _END_REACH = 1.3  # of the radius: how far start and goal are joined with nodes
-NUM_LOCAL = 64  # nodes around either end
+NUM_LOCAL = 24  # nodes around either end
 _LOCAL_SCALES = (0.15, 0.3, 0.6, 1.0)  # rad (or m), standard deviations around an end
 _CANDIDATES = 6  # drawn for each local node; the network picks
-_LOCAL_SLOTS = 112
-_NEAR_NODES, _NEAR_LOCAL = 20, 8  # neighbors of a local node of either kind
+# How many a local node is joined with: stored nodes, and those of its side; an end with stored
+# nodes; and a stored node with local ones of a side.
+_NEAR_NODES, _NEAR_LOCAL, _NEAR_ENDS, _NEAR_STORED = 12, 8, 16, 4
+
 
 
 @functools.lru_cache(maxsize=64)
@@ -106,7 +108,7 @@ def insert_ends(
 
 
 def add_local_nodes(
-    key: jax.Array,
+    offsets: Float[Array, "2 C D"],
     stored: Roadmap,
     start: Float[Array, " D"],
     goal: Float[Array, " D"],
@@ -116,53 +118,116 @@ def add_local_nodes(
 ) -> Roadmap:
     """`insert_ends`, with `NUM_LOCAL` nodes more around either end.
 
+    A local node is joined with its end, with near ones of its side and with near stored nodes, each
+    of which takes the nearest few. All of it is found from tables of local against other nodes;
+    one of all nodes against all would take ten times as long.
+
     Args:
-        key: randomness.
-        stored: N nodes; the result has N + 2 + 2 `NUM_LOCAL`.
+        offsets: of candidates for local nodes, from `local_offsets`.
+        stored: N nodes with K slots; the result has 2 + 2 `NUM_LOCAL` + N, the stored nodes with
+            their slots last.
         start: configuration.
         goal: configuration.
         radius: of the stored roadmap, configuration units.
         limits: `[D]` lower and upper joint limits.
         price: `[B D] -> [B]`; those that it finds likely free, nodes are chosen from.
     """
-    keys = jax.random.split(key, 3)
-    num_drawn = _CANDIDATES * NUM_LOCAL
+    num_local, (num_stored, num_slots) = NUM_LOCAL, stored.neighbors.shape
     ends = jnp.stack([start, goal])
+    local = _choose_local(offsets, ends, limits, price)  # [2 L D]
+    is_new = _differs_from_earlier(ends, local)  # [2 L]
+    first_local, first_stored = 2, 2 + 2 * num_local
+    special = jnp.concatenate([ends, local.reshape(-1, ends.shape[1])])  # ends and local nodes
+    special_mask = jnp.concatenate([jnp.ones(2, bool), is_new.ravel()])
+    far = jnp.linalg.norm(special[:, None] - stored.nodes, axis=-1)  # [2 + 2 L, N]
+    far = jnp.where(special_mask[:, None] & stored.node_mask, far, jnp.inf)
+    joined = _nearest(far, jnp.concatenate([jnp.full(2, _NEAR_ENDS), jnp.full(2 * num_local, _NEAR_NODES)]))
+    joined &= (far <= _END_REACH * radius) | (jnp.arange(len(special)) >= 2)[:, None]
+    # Of the local nodes that want it, a stored node takes the nearest of either side.
+    sides = [slice(first_local + side * num_local, first_local + (side + 1) * num_local) for side in (0, 1)]
+    to_stored, to_special = jnp.where(joined, far, jnp.inf), []
+    for side in sides:
+        negative, taken = jax.lax.top_k(-to_stored[side].T, _NEAR_STORED)  # [N R]
+        kept = jnp.full((num_stored, num_local), jnp.inf)
+        kept = kept.at[jnp.arange(num_stored)[:, None], taken].set(-negative)
+        to_stored = to_stored.at[side].set(kept.T)
+        to_special.append((taken + side.start, -negative))
+    within = jnp.linalg.norm(local[:, :, None] - local[:, None], axis=-1)  # [2 L L]
+    within = jnp.where(is_new[:, :, None] & is_new[:, None] & ~jnp.eye(num_local, dtype=bool), within, jnp.inf)
+    mutual = jnp.stack([_nearest(one, jnp.full(num_local, _NEAR_LOCAL)) for one in within])
+    within = jnp.where(mutual & jnp.swapaxes(mutual, 1, 2), within, jnp.inf)
+    to_end = jnp.where(is_new, jnp.linalg.norm(local - ends[:, None], axis=-1), jnp.inf)  # [2 L]
+    # Lengths of all edges of special nodes, inf where there is none.
+    table = jnp.full((len(special), first_stored), jnp.inf)
+    table = table.at[START, GOAL].set(jnp.linalg.norm(goal - start))
+    for end, side in enumerate(sides):
+        table = table.at[end, side].set(to_end[end]).at[side, side].set(within[end])
+    table = jnp.minimum(table, table.T)
+    table = jnp.concatenate([table, to_stored], axis=1)  # [2 + 2 L, 2 + 2 L + N]
+    width = num_slots + 2 + 2 * _NEAR_STORED
+    negative, near = jax.lax.top_k(-table, width)
+    rows = [(jnp.broadcast_to(jnp.arange(2), (num_stored, 2)), to_stored[:2].T), *to_special]
+    stored_near = [stored.neighbors + first_stored, *(near for near, _ in rows)]
+    stored_lengths = [
+        jnp.where(stored.neighbor_mask, stored.lengths, jnp.inf), *(length for _, length in rows)
+    ]
+    lengths = jnp.concatenate([-negative, jnp.concatenate(stored_lengths, axis=1)])
+    neighbors = jnp.concatenate([near, jnp.concatenate(stored_near, axis=1)])
+    mask = jnp.isfinite(lengths)
+    own = jnp.arange(len(neighbors))[:, None]
+    return Roadmap(
+        nodes=jnp.concatenate([special, stored.nodes]),
+        node_mask=jnp.concatenate([special_mask, stored.node_mask]),
+        neighbors=jnp.where(mask, neighbors, own).astype(jnp.int32),
+        neighbor_mask=mask,
+        lengths=jnp.where(mask, lengths, 0.0),
+        num_dropped=stored.num_dropped,
+    )
+
+
+def local_offsets(key: jax.Array, num_dof: int) -> Float[Array, "2 C D"]:
+    """Offsets from both ends of the configurations that local nodes are chosen from.
+
+    Drawn apart, since a product that a compiler may merge with the sum would make nodes depend on
+    what else is compiled.
+    """
+    keys = jax.random.split(key)
+    num_drawn = _CANDIDATES * NUM_LOCAL
     scale = jax.random.choice(keys[0], jnp.array(_LOCAL_SCALES), (2, num_drawn, 1))
-    drawn = ends[:, None] + scale * jax.random.normal(keys[1], (2, num_drawn, len(start)))
-    drawn = jnp.clip(drawn, *(jnp.asarray(limit) for limit in limits))
-    prices = price(drawn.reshape(-1, len(start))).reshape(2, num_drawn)
-    # The likely ones in a random order, then the others.
-    unlikely = prices > jnp.log(2.0)
-    rank = jnp.where(unlikely, 1.0 + prices, jax.random.uniform(keys[2], prices.shape))
-    chosen = jnp.argsort(rank, axis=1)[:, :NUM_LOCAL, None]
-    local = jnp.take_along_axis(drawn, chosen, axis=1).reshape(-1, len(start))
-    nodes = jnp.concatenate([ends, local, stored.nodes])
-    num = len(nodes)
-    # Which end a node is or belongs to; 2 and beyond: neither.
-    side = jnp.concatenate([jnp.arange(2), jnp.repeat(jnp.arange(2), NUM_LOCAL)])
-    side = jnp.pad(side, (0, num - len(side)), constant_values=2)
-    is_end = jnp.arange(num) < 2
-    is_local = (side < 2) & ~is_end
-    apart = ~jnp.eye(num, dtype=bool)
-    mask = jnp.concatenate([jnp.ones(num - len(stored.nodes), bool), stored.node_mask])
-    # Draws beyond a corner of the limits all end there. One of them is enough: edges without length
-    # would lead a search in circles.
+    return scale * jax.random.normal(keys[1], (2, num_drawn, num_dof))
+
+
+def _choose_local(
+    offsets: Float[Array, "2 C D"],
+    ends: Float[Array, "2 D"],
+    limits: tuple[np.ndarray, np.ndarray],
+    price: Callable[[jax.Array], jax.Array],
+) -> Float[Array, "2 L D"]:
+    """Configurations around both ends: the first that are likely free, then the likeliest."""
+    drawn = jnp.clip(ends[:, None] + offsets, *(jnp.asarray(limit) for limit in limits))
+    prices = price(drawn.reshape(-1, ends.shape[1])).reshape(drawn.shape[:2])
+    order = jnp.arange(drawn.shape[1]) / drawn.shape[1]
+    rank = jnp.where(prices > jnp.log(2.0), 1.0 + prices, order)
+    chosen = jax.lax.top_k(-rank, NUM_LOCAL)[1][..., None]
+    return jnp.take_along_axis(drawn, chosen, axis=1)
+
+
+def _differs_from_earlier(
+    ends: Float[Array, "2 D"], local: Float[Array, "2 L D"]
+) -> Bool[Array, "2 L"]:
+    """False for local nodes that equal an end or one before them.
+
+    Draws beyond a corner of the limits all end there. One of them is enough: edges without length
+    would lead a search in circles.
+    """
+    nodes = jnp.concatenate([ends, local.reshape(-1, ends.shape[1])])
     equal = jnp.all(nodes[:, None] == nodes, axis=-1)
-    mask &= ~jnp.any(jnp.tril(equal, -1), axis=1) | is_end
+    return ~jnp.any(jnp.tril(equal, -1), axis=1)[2:].reshape(2, -1)
 
-    def join(squared: Float[Array, "N N"]) -> Bool[Array, "N N"]:
-        def nearest(allowed: jax.Array, count: int) -> jax.Array:
-            negative = jax.lax.top_k(jnp.where(allowed, -squared, -jnp.inf), count)[0]
-            return allowed & (-squared >= negative[:, -1:])
 
-        stored_node = side == 2
-        same_side = (side[:, None] == side) & ~stored_node & apart
-        joined = stored_node[:, None] & stored_node & (squared <= radius**2) & apart
-        joined |= nearest(~stored_node[:, None] & stored_node & mask, _NEAR_NODES)
-        joined |= nearest(same_side & is_local[:, None] & is_local & mask, _NEAR_LOCAL)
-        joined |= same_side & is_end[:, None]
-        joined |= is_end[:, None] & is_end & apart
-        return joined | joined.T
-
-    return connect_where(nodes, mask, join, _LOCAL_SLOTS)
+def _nearest(far: Float[Array, "A B"], count: Int[Array, " A"]) -> Bool[Array, "A B"]:
+    """Marks the nearest `count` of each row; infinite ones never."""
+    most = min(max(_NEAR_ENDS, _NEAR_NODES, _NEAR_LOCAL), far.shape[1])
+    negative = jax.lax.top_k(-far, most)[0]
+    last = jnp.take_along_axis(-negative, jnp.minimum(count, most)[:, None] - 1, axis=1)
+    return (far <= last) & jnp.isfinite(far)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.roadmap.graph import GOAL, START, Roadmap
-from gnnjax.roadmap.paths import cost_to_go, follow, next_slots
+from gnnjax.roadmap.paths import follow
 from gnnjax.search.knowledge import INVALID, UNKNOWN, Knowledge
 
 
@@ -37,15 +37,43 @@ class Route(NamedTuple):
     unjudged: Bool[Array, "*batch N"]
 
 
-def cheapest_route(priced: Priced) -> Route:
-    """The path that is cheapest by length and by the prices of what is not known."""
+def cheapest_routes(priced: Priced) -> Route:
+    """The path that is cheapest by length and by the prices of what is not known.
+
+    For a batch `[P]`: one flat look-up for all is twice as fast as one mapped over problems.
+    """
     roadmap, (status, node_status) = priced.roadmap, priced.known
+    num, num_nodes, _ = status.shape
     price = jnp.where(status == UNKNOWN, priced.price, 0.0)
-    blocked = (status == INVALID) | (node_status == INVALID)[:, None]
-    edge_cost = jnp.where(blocked, jnp.inf, roadmap.lengths + price)
-    cost = cost_to_go(roadmap, edge_cost, GOAL, START)
-    slots = next_slots(roadmap, edge_cost, cost)
-    path = follow(roadmap, slots, cost)
+    blocked = (status == INVALID) | (node_status == INVALID)[..., None]
+    edge_cost = roadmap.lengths + price
+    edge_cost = jnp.where(blocked | ~roadmap.neighbor_mask, jnp.inf, edge_cost)
+    flat = roadmap.neighbors + (jnp.arange(num, dtype=jnp.int32) * num_nodes)[:, None, None]
+
+    def beyond(cost: jax.Array) -> jax.Array:
+        return edge_cost + cost.ravel()[flat]
+
+    def sweep(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        cost, _ = state
+        better = jnp.minimum(cost, jnp.min(beyond(cost), axis=-1))
+        # What is dearer than the start already is not on its way.
+        changed = (better < cost) & (better <= better[:, START, None])
+        return better, jnp.any(changed)
+
+    first = jnp.full((num, num_nodes), jnp.inf).at[:, GOAL].set(0.0)
+    cost, _ = jax.lax.while_loop(lambda state: state[1], sweep, (first, jnp.bool_(True)))
+    slots = jnp.argmin(beyond(cost), axis=-1).astype(jnp.int32)
+    path = jax.vmap(follow)(roadmap, slots, cost)
+    return jax.vmap(_route)(priced, price, path, slots)
+
+
+def _route(
+    priced: Priced,
+    price: Float[Array, "N K"],
+    path: Int[Array, " N"],
+    slots: Int[Array, " N"],
+) -> Route:
+    roadmap, (status, node_status) = priced.roadmap, priced.known
     node = jnp.maximum(path, 0)
     slot = slots[node]
     arrives = jnp.any(path == GOAL)
