@@ -6,7 +6,6 @@ calls of one kernel over pairs of configuration and scene. What comes out for a 
 is counted, is what testing it alone and one by one would give.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -51,6 +50,7 @@ class SequenceTester:
         checker: its collision functions.
         resolution: largest distance of neighbouring configurations of a motion.
         """
+        self.checker = checker
         self._check = jax.jit(checker.check_each)
         self._order = bisection_order(most_intervals(robot, resolution))
         self._resolution = resolution
@@ -130,7 +130,7 @@ class SequenceTester:
         return low, high, intervals.astype(int), points.astype(int)
 
     def _test(self, scenes: Scene, owner: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Tells of configurations `[B D]`, each in the scene of its owner, whether they are valid."""
+        """Whether configurations `[B D]` are valid, each in the scene of its owner."""
         valid, begin = np.empty(len(q), bool), 0
         parts = []
         while begin < len(q):

@@ -8,9 +8,7 @@ of one. What a problem's path is and what it cost does not depend on who shares 
 """
 
 import dataclasses
-import time
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,172 +16,28 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import certify_edges
-from gnnjax.collision.checker import Checker
 from gnnjax.collision.sequences import Items, Outcome, SequenceTester
 from gnnjax.guide.guide import RISK_WEIGHT
-from gnnjax.planning.query import path_length
+from gnnjax.planning.clock import Clock
+from gnnjax.planning.guided import JUDGED, Guided
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.pool import Pool, size_for, sizes_up_to, take
+from gnnjax.planning.query import Plan, make_plan, path_length
 from gnnjax.problems.problem import Problem
-from gnnjax.roadmap.graph import GOAL, START
-from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
-from gnnjax.search.rounds import Priced, Route, cheapest_routes, learn
+from gnnjax.scene.scene import Scene
+from gnnjax.search.knowledge import INVALID, UNKNOWN, Knowledge
+from gnnjax.search.rounds import Route
 
-SIZES = (1, 16, 64, 256)  # slots of a pool; one compilation each
 # Problems whose roadmaps are made or shortened at once; the first for lone queries. No array has
-# room for one alone: a compiler that knows there is one merges other operations, and rounds otherwise.
+# room for one alone: a compiler that knows there is one merges other operations, and rounds
+# otherwise.
 _CHUNKS = (2, 16)
+_STRAIGHT = 1024  # straight lines that are tested at once
 
-
-def size_for(num: int) -> int:
-    """The smallest pool for `num` problems, or the largest there is."""
-    return next((size for size in SIZES if num <= size), SIZES[-1])
-
-
-class Clock:
-    """Seconds, on a clock that stands still while something is compiled."""
-
-    def __init__(self):
-        self._waited = 0.0
-
-    def now(self) -> float:
-        """The time."""
-        return time.perf_counter() - self._waited
-
-    def call(self, function: Any, *args: Any) -> Any:
-        """Calls a jitted function; a call that compiles it takes no time."""
-        before, known = time.perf_counter(), function._cache_size()
-        result = function(*args)
-        if function._cache_size() > known:
-            jax.block_until_ready(result)
-            self._waited += time.perf_counter() - before
-        return result
-
-
-_cheapest_routes = jax.jit(cheapest_routes)
-
-
-@jax.jit
-def _learn(priced: Priced, route: Route, nodes: jax.Array, edges: jax.Array) -> Knowledge:
-    return jax.vmap(learn)(priced, route, nodes, edges)
-
-
-def _place(pool: Any, new: Any, rows: jax.Array) -> Any:
-    """Puts problems into slots; rows beyond the last are dropped."""
-    return jax.tree.map(lambda x, y: x.at[rows].set(y, mode="drop"), pool, new)
-
-
-_place_in = jax.jit(_place, donate_argnums=0)
-
-
-@jax.jit
-def _take(pool: Any, rows: jax.Array) -> Any:
-    return jax.tree.map(lambda x: x[rows], pool)
-
-
-class Tested(NamedTuple):
-    """What a round's tests found out, by slot."""
-
-    nodes: np.ndarray  # [S N] int8, by step of the route
-    edges: np.ndarray  # [S N] int8
-    outcome: Outcome  # of the slots that were tested, in order
-
-
-def items_of(route: Route, rows: np.ndarray, owner: np.ndarray, most_edges: np.ndarray | None = None):
-    """What has to be tested of the routes of some slots: nodes first, then edges, least likely
-    first.
-
-    Returns:
-        The items, and of each its row in `rows` and its step along the route.
-    """
-    row, step = np.nonzero(route.node_unknown[rows])
-    edge_row, edge_step = np.nonzero(route.edge_unknown[rows])
-    price = route.edge_price[rows][edge_row, edge_step]
-    order = np.lexsort((edge_step, -price, edge_row))
-    edge_row, edge_step = edge_row[order], edge_step[order]
-    if most_edges is not None:
-        first = np.searchsorted(edge_row, np.arange(len(rows)))
-        kept = np.arange(len(edge_row)) - first[edge_row] < most_edges[edge_row]
-        edge_row, edge_step = edge_row[kept], edge_step[kept]
-    motion = np.repeat([False, True], [len(row), len(edge_row)])
-    row, step = np.concatenate([row, edge_row]), np.concatenate([step, edge_step])
-    order = np.lexsort((motion, row))  # stable
-    row, step, motion = row[order], step[order], motion[order]
-    points = route.points[rows]
-    last = points.shape[1] - 1
-    ends = points[row, np.minimum(step + 1, last)]
-    return Items(row, owner[row], points[row, step], ends, motion), row, step
-
-
-def verdicts(items: Items, outcome: Outcome) -> np.ndarray:
-    """Of each item: VALID, INVALID, or UNKNOWN where it was not come to."""
-    first = np.searchsorted(items.sequence, np.arange(len(outcome.num_valid)))
-    at = np.arange(len(items.sequence)) - first[items.sequence]
-    limit = outcome.num_valid[items.sequence]
-    found = np.where(at < limit, VALID, UNKNOWN)
-    return np.where((at == limit) & outcome.refuted[items.sequence], INVALID, found).astype(np.int8)
-
-
-class Search:
-    """A pool of roadmaps under lazy search."""
-
-    def __init__(self, size: int, clock: Clock, tester: SequenceTester, scenes: Any):
-        self.size, self.clock, self.tester, self.scenes = size, clock, tester, scenes
-        self.ids = np.full(size, -1)
-        self.priced: Priced | None = None
-        self.reading: Any = None
-
-    def enter(self, rows: np.ndarray, ids: np.ndarray, entered: tuple[Priced, Any]) -> None:
-        """Puts problems into slots.
-
-        Args:
-            rows: `[B]` slots, as many as problems came in; padded up to a size.
-            ids: `[B]`.
-            entered: their roadmaps and readings, `[size_for(B), ...]`.
-        """
-        num = len(entered[0].price)
-        at = np.full(num, self.size)
-        at[: len(rows)] = rows
-        if self.priced is None:
-            blank = jax.tree.map(lambda x: jnp.zeros((self.size, *x.shape[1:]), x.dtype), entered)
-            self.priced, self.reading = blank
-        pool = self.priced, self.reading
-        self.priced, self.reading = self.clock.call(_place_in, pool, entered, at)
-        self.ids[rows] = ids
-
-    def shrink(self) -> np.ndarray:
-        """Leaves slots that are free to the others, where a smaller pool would do.
-
-        Returns:
-            The slots that are left, in order.
-        """
-        live = np.flatnonzero(self.ids >= 0)
-        size = size_for(len(live))
-        if size == self.size:
-            return np.arange(size)
-        kept = np.concatenate([live, np.flatnonzero(self.ids < 0)])[:size]
-        self.priced, self.reading = self.clock.call(_take, (self.priced, self.reading), kept)
-        self.ids, self.size = self.ids[kept], size
-        return kept
-
-    def route(self) -> tuple[Route, Route]:
-        """The cheapest path of every slot, on the device and on the host."""
-        route = self.clock.call(_cheapest_routes, self.priced)
-        return route, jax.tree.map(np.asarray, route)
-
-    def test(self, host: Route, rows: np.ndarray, most_edges: np.ndarray | None = None) -> Tested:
-        """Tests what is unknown on the paths of some slots."""
-        items, row, step = items_of(host, rows, self.ids[rows], most_edges)
-        outcome = self.tester(self.scenes, items, len(rows))
-        found = verdicts(items, outcome)
-        nodes, edges = np.zeros((2, *host.path.shape), np.int8)
-        nodes[rows[row[~items.motion]], step[~items.motion]] = found[~items.motion]
-        edges[rows[row[items.motion]], step[items.motion]] = found[items.motion]
-        return Tested(nodes, edges, outcome)
-
-    def learn(self, route: Route, nodes: np.ndarray, edges: np.ndarray) -> None:
-        """Notes what came out."""
-        assert self.priced is not None
-        known = self.clock.call(_learn, self.priced, route, nodes, edges)
-        self.priced = self.priced._replace(known=known)
+# Roadmaps that are tried in the hope of a likely path before unlikely ones are tested, and rounds
+# of a roadmap, at effort 1.
+_ROADMAPS_A_LEVEL, _MOST_ROUNDS = 4, 25
+_MOST_SHORTCUTS = 8  # edges; what needs more is hardly ever free
 
 
 @dataclasses.dataclass
@@ -196,40 +50,55 @@ class Kept:
 
 
 class Run:
-    """A batch of problems on its way."""
+    """A batch of P problems on its way: what was found and what it cost."""
 
-    def __init__(self, planner: Any, problems: Problem, seed: int, pool: int, clock: Clock):
-        self.strategy, self.options = planner.strategy, planner.options
-        self.robot, self.tester, self.clock, self.seed = planner.robot, planner.tester, clock, seed
-        self.pool = pool
+    def __init__(
+        self,
+        robot: Robot,
+        strategy: Guided,
+        options: PlannerOptions,
+        tester: SequenceTester,
+        problems: Problem,
+        seed: int,
+        pool: int,
+    ):
+        """Args:
+        robot: the arm.
+        strategy: makes roadmaps and shortcuts, and prices them.
+        options: limits.
+        tester: of the arm.
+        problems: `[P, ...]`, which `check_query` accepts.
+        seed: of the roadmaps.
+        pool: most problems on their way at once.
+        """
+        self.robot, self.strategy, self.options = robot, strategy, options
+        self.tester, self.seed, self.pool, self.clock = tester, seed, pool, Clock()
         self.chunk = _CHUNKS[pool > 1]
         num = len(problems.start)
-        # Few shapes: the kernel is compiled for a number of scenes.
-        padded = np.minimum(np.arange(16 ** int(np.ceil(np.log(num) / np.log(16)))), num - 1)
         self.problems = jax.tree.map(np.asarray, problems)
-        self.scenes = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[padded]), problems.scene)
+        self.scenes = scenes_on_device(self.problems.scene)
         self.paths: list[np.ndarray | None] = [None] * num
-        self.direct = np.zeros(num, np.int8)
+        self.straight = np.zeros(num, np.int8)  # status of the straight line
+        self.sampling_checks = np.full(num, 2)  # start and goal
         self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
         self.planning_time, self.total_time = np.zeros((2, num))
         self.kept: list[list[Kept]] = [[] for _ in range(num)]
-        self.spent: dict[str, float] = {}
 
-    def run(self) -> None:
+    def run(self) -> list[Plan]:
         """Plans all problems."""
         every = np.arange(len(self.paths))
-        for first in range(0, len(every), 4 * self.pool):
-            self._straight(every[first : first + 4 * self.pool])
-        last = self.options.max_roadmaps
-        for level in range(0, last, ROADMAPS_A_LEVEL):
-            for number in range(level, min(level + ROADMAPS_A_LEVEL, last)):
+        for first in range(0, len(every), _STRAIGHT):
+            self._test_straight_lines(every[first : first + _STRAIGHT])
+        last = min(self.options.max_roadmaps, _ROADMAPS_A_LEVEL * self.options.effort)
+        for level in range(0, last, _ROADMAPS_A_LEVEL):
+            for number in range(level, min(level + _ROADMAPS_A_LEVEL, last)):
                 ids = self._open(every)
                 self.roadmaps[ids] += 1
                 self._attempt(ids, np.full(len(ids), number), self.strategy.give_up)
             # No roadmap had a likely path: now the unlikely ones, the least unlikely first.
             for kept in self.kept:
                 kept.sort(key=lambda one: one.price)
-            for turn in range(ROADMAPS_A_LEVEL):
+            for turn in range(_ROADMAPS_A_LEVEL):
                 ids = self._open(np.array([i for i in every if len(self.kept[i]) > turn], int))
                 again = [self.kept[i][turn] for i in ids]
                 numbers = np.array([one.number for one in again], int)
@@ -238,34 +107,55 @@ class Run:
                     known = [again[i].known for i in group]
                     self._attempt(ids[group], numbers[group], np.inf, known)
             self.kept = [[] for _ in every]
+        return self._plans()
+
+    def warm_up(self) -> None:
+        """Compiles all that planning needs, and plans nothing."""
+        num = len(self.paths)
+        self.tester.warm_up(self.scenes, self.robot.num_dof, num)
+        numbers = range(1 if self.options.sampled else min(2, self.options.max_roadmaps))
+        for number in numbers:
+            most = min(num, self.pool, self.strategy.most_slots(number))
+            for size in sizes_up_to(most):
+                pool = Pool(size, self.clock, self.tester, self.scenes)
+                self._enter(pool, np.zeros(1, int), np.arange(1), np.arange(1), number, None)
+                self._go_through(pool)
+                if self.strategy.shorten and number == 0:
+                    rows = np.zeros(size, int)
+                    self._go_through(self._shortcuts(pool, rows, pool.route()[1]))
+
+    def _go_through(self, pool: Pool) -> None:
+        route, host = pool.route()
+        if jax.tree.leaves(pool.reading) and not self.strategy.is_judged:
+            self._judge(pool, np.zeros(1, int), route, host)
+        pool.learn(route, *np.zeros((2, *host.path.shape), np.int8))
 
     def _open(self, ids: np.ndarray) -> np.ndarray:
         late = self.total_time > self.options.time_limit
         return np.array([i for i in ids if self.paths[i] is None and not late[i]], int)
 
-    def _spend(self, what: str, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
-        """Shares out the time since `begin`."""
+    def _spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
+        """Shares out the time since `begin` over those that were worked on; returns the time."""
         now = self.clock.now()
         share = (now - begin) / max(1, len(ids))
         self.total_time[ids] += share
         if planning:
             self.planning_time[ids] += share
-        self.spent[what] = self.spent.get(what, 0.0) + now - begin
         return now
 
-    def _straight(self, ids: np.ndarray) -> None:
+    def _test_straight_lines(self, ids: np.ndarray) -> None:
         """Tests the straight lines from starts to goals."""
         begin = self.clock.now()
         starts, goals = self.problems.start[ids], self.problems.goal[ids]
         items = Items(np.arange(len(ids)), ids, starts, goals, np.ones(len(ids), bool))
         outcome = self.tester(self.scenes, items, len(ids))
         self._count(ids, outcome)
-        self.direct[ids] = INVALID
+        self.straight[ids] = INVALID
         free = ~outcome.refuted
         lines = [np.stack([self.problems.start[i], self.problems.goal[i]]) for i in ids[free]]
-        begin = self._spend("straight", ids, begin)
+        begin = self._spend(ids, begin)
         self._certify(ids[free], lines)
-        self._spend("certify", ids, begin)
+        self._spend(ids, begin)
 
     def _count(self, ids: np.ndarray, outcome: Outcome) -> None:
         self.edge_checks[ids] += outcome.num_edges
@@ -302,109 +192,207 @@ class Run:
         max_price: float,
         known: list[Knowledge] | None = None,
     ) -> None:
-        """One roadmap for each of some problems, searched in a pool with refills."""
+        """One roadmap for each of some problems, searched in a pool with refills.
+
+        Args:
+            ids: problems.
+            numbers: of their roadmaps; none is 0, or all are.
+            max_price: nats; a roadmap whose best path is less likely is kept for later.
+            known: of roadmaps that were kept.
+        """
         if not len(ids):
             return
-        size = size_for(min(len(ids), self.pool, self.strategy.most_slots(numbers[0])))
-        search = Search(size, self.clock, self.tester, self.scenes)
-        likely = np.zeros(size, bool)  # not checked as it is, but shortened first
-        turns, number = np.zeros((2, size), int)
+        most = self.strategy.most_slots(numbers[0])
+        pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock, self.tester, self.scenes)
+        # Paths are not checked as they are, but shortened first, unless that has failed.
+        slots = _Slots(*np.zeros((3, pool.size), int))
         waiting = 0
-        while waiting < len(ids) or (search.ids >= 0).any():
-            free = np.flatnonzero(search.ids < 0)
-            if waiting < len(ids) and (len(free) >= max(1, size // 8)):
+        while waiting < len(ids) or (pool.ids >= 0).any():
+            free = np.flatnonzero(pool.ids < 0)
+            if waiting < len(ids) and len(free) >= max(1, pool.size // 8):
                 begin = self.clock.now()
                 entering = np.arange(waiting, min(waiting + len(free), len(ids)))
                 rows = free[: len(entering)]
-                for one in np.unique(numbers[entering]):
-                    chosen = numbers[entering] == one
-                    self._enter(search, rows[chosen], ids, entering[chosen], int(one), known)
-                number[rows] = numbers[entering]
-                likely[rows], turns[rows] = known is None and self.strategy.shorten, 0
+                for number in np.unique(numbers[entering]):
+                    chosen = numbers[entering] == number
+                    self._enter(pool, rows[chosen], ids, entering[chosen], int(number), known)
+                slots.number[rows], slots.rounds[rows] = numbers[entering], 0
+                slots.first_look[rows] = known is None and self.strategy.shorten
                 waiting += len(entering)
-                self._spend("enter", ids[entering], begin, planning=False)
+                self._spend(ids[entering], begin, planning=False)
             elif waiting == len(ids):
-                kept = search.shrink()
-                likely, turns, number, size = likely[kept], turns[kept], number[kept], search.size
-            self._round(search, number, likely, turns, max_price)
+                slots = _Slots(*(x[pool.shrink()] for x in slots)) if pool.is_wide() else slots
+            self._round(pool, slots, max_price)
 
-    def _enter(self, search, rows, ids, entering, number, known) -> None:
+    def _enter(
+        self,
+        pool: Pool,
+        rows: np.ndarray,
+        ids: np.ndarray,
+        entering: np.ndarray,
+        number: int,
+        known: list[Knowledge] | None,
+    ) -> None:
         for first in range(0, len(entering), self.chunk):
             part = slice(first, first + self.chunk)
-            padded = np.resize(entering[part], self.chunk)
+            chosen = entering[part]
+            padded = np.resize(chosen, self.chunk)
             problems = jax.tree.map(lambda x, at=ids[padded]: x[at], self.problems)
-            priced, reading = self.strategy.enter(
-                self.clock.call, problems, self.direct[ids[padded]], len(entering[part]), self.seed, number
+            entered = self.strategy.enter(
+                self.clock,
+                problems,
+                self.straight[ids[padded]],
+                len(chosen),
+                self.seed,
+                number,
+                self.tester.checker,
             )
+            if known is None:
+                self.sampling_checks[ids[chosen]] += np.asarray(entered.num_checks)[: len(chosen)]
+            priced = entered.priced
             if known is not None:
                 earlier = [known[i] for i in padded]
                 priced = priced._replace(known=jax.tree.map(lambda *x: np.stack(x), *earlier))
-            search.enter(rows[part], ids[entering[part]], (priced, reading))
-        jax.block_until_ready(search.priced)
+            pool.enter(rows[part], ids[chosen], priced, entered.reading)
+        jax.block_until_ready(pool.priced)
 
-    def _round(self, search, number, likely, turns, max_price) -> None:
+    def _round(self, pool: Pool, slots: "_Slots", max_price: float) -> None:
         begin = self.clock.now()
-        live = np.flatnonzero(search.ids >= 0)
-        ids = search.ids[live]
-        route, host = search.route()
-        begin = self._spend("route", ids, begin)
-        turns[live] += 1
-        self.rounds[ids] += 1
-        prices = host.edge_price[live].sum(axis=1) / RISK_WEIGHT
-        none = host.num[live] == 0
-        dear = ~none & (prices > max_price)
-        spent = turns[live] > MOST_ROUNDS
-        for row, price in zip(live[dear], prices[dear], strict=True):
-            assert search.priced is not None
-            status = jax.tree.map(lambda x, row=row: np.asarray(x[row]), search.priced.known)
-            self.kept[search.ids[row]].append(Kept(float(price), int(number[row]), status))
-        search.ids[live[none | dear | spent]] = -1
-        live = live[~(none | dear | spent)]
-        long = host.num[live] > 2
-        first = live[likely[live] & long]
-        nodes, edges = np.zeros((2, *host.path.shape), np.int8)
-        if len(first):
-            found = self._shorten(search, first, host)
-            search.ids[first[found]] = -1
-            likely[first] = False
-        testing = live[~(likely[live] & long) & (search.ids[live] >= 0)]
-        testing = np.setdiff1d(testing, first)
+        live = np.flatnonzero(pool.ids >= 0)
+        route, host = pool.route()
+        slots.rounds[live] += 1
+        self.rounds[pool.ids[live]] += 1
+        begin = self._spend(pool.ids[live], begin)
+        live = self._leave(pool, slots, live, host, max_price)
+        unjudged = host.unjudged[live].any(axis=1)
+        if unjudged.any():
+            self._judge(pool, live[unjudged], route, host)
+            begin = self._spend(pool.ids[live[unjudged]], begin)
+            live = live[~unjudged]
+        to_shorten = (slots.first_look[live] > 0) & (host.num[live] > 2)
+        rows, testing = live[to_shorten], live[~to_shorten]
+        if len(rows):
+            slots.first_look[rows] = 0
+            pool.ids[rows[self._shorten(pool, rows, host)]] = -1
         if len(testing):
-            begin = self.clock.now()
-            tested = search.test(host, testing)
-            self._count(search.ids[testing], tested.outcome)
-            begin = self._spend("test", search.ids[testing], begin)
-            nodes, edges = tested.nodes, tested.edges
-            through = testing[~tested.outcome.refuted]
-            paths = [host.points[row, : host.num[row]] for row in through]
-            certified = self._certify(search.ids[through], paths)
-            begin = self._spend("certify", search.ids[through], begin)
-            good = np.array([c.all() for c in certified], bool)
-            for row, found in zip(through[~good], np.array(certified, object)[~good], strict=True):
-                edges[row, np.flatnonzero(~found)] = INVALID
-            through = through[good]
-            longer = through[host.num[through] > 2]
-            if len(longer) and self.strategy.shorten:
-                self._shorten(search, longer, host)
-            search.ids[through] = -1
-            begin = self.clock.now()
-            search.learn(route, nodes, edges)
-            self._spend("learn", search.ids[testing][search.ids[testing] >= 0], begin)
+            self._test(pool, testing, route, host)
 
-    def _shorten(self, search: Search, rows: np.ndarray, host: Route) -> np.ndarray:
+    def _leave(
+        self, pool: Pool, slots: "_Slots", live: np.ndarray, host: Route, max_price: float
+    ) -> np.ndarray:
+        """Frees the slots whose roadmaps have no path, or none that is likely enough.
+
+        Returns:
+            The others.
+        """
+        price = host.edge_price[live].sum(axis=1) / RISK_WEIGHT
+        none = host.num[live] == 0
+        # What is not priced for good is not dear yet.
+        dear = ~none & (price > max_price) & ~host.unjudged[live].any(axis=1)
+        for row, nats in zip(live[dear], price[dear], strict=True):
+            self.kept[pool.ids[row]].append(
+                Kept(float(nats), int(slots.number[row]), pool.known(row))
+            )
+        gone = none | dear | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
+        pool.ids[live[gone]] = -1
+        return live[~gone]
+
+    def _judge(self, pool: Pool, rows: np.ndarray, route: Route, host: Route) -> None:
+        """Has the guide look at the edges of some paths that it has not looked at."""
+        steps = np.full((pool.size, JUDGED), -1)
+        for row in rows:
+            found = np.flatnonzero(host.unjudged[row])[:JUDGED]
+            steps[row, : len(found)] = found
+        price = np.zeros(steps.shape, np.float32)
+        last = host.points.shape[1] - 1
+        for first in range(0, len(rows), self.chunk):
+            part = rows[first : first + self.chunk]
+            padded = np.resize(part, self.chunk)
+            at = padded[:, None], np.maximum(steps[padded], 0)
+            starts, ends = host.points[at], host.points[at[0], np.minimum(at[1] + 1, last)]
+            readings = self.clock.call(take, pool.reading, padded)
+            found = self.clock.call(
+                self.strategy.judge,
+                self.strategy.weights,
+                readings,
+                starts,
+                ends,
+                np.int32(len(part)),
+            )
+            price[part] = np.asarray(found)[: len(part)]
+        pool.reprice(route, steps, price)
+
+    def _test(self, pool: Pool, rows: np.ndarray, route: Route, host: Route) -> None:
+        """Tests the paths of some slots; what holds is certified, shortened, and leaves."""
+        begin = self.clock.now()
+        tested = pool.test(host, rows)
+        self._count(pool.ids[rows], tested.outcome)
+        through = rows[~tested.outcome.refuted]
+        paths = [host.points[row, : host.num[row]] for row in through]
+        certified = self._certify(pool.ids[through], paths)
+        begin = self._spend(pool.ids[rows], begin)
+        for row, good in zip(through, certified, strict=True):
+            tested.edges[row, np.flatnonzero(~good)] = INVALID
+        through = through[[bool(good.all()) for good in certified]]
+        longer = through[host.num[through] > 2]
+        if len(longer) and self.strategy.shorten:
+            self._shorten(pool, longer, host)
+            begin = self.clock.now()
+        pool.ids[through] = -1
+        left = rows[pool.ids[rows] >= 0]
+        if len(left):
+            pool.learn(route, tested.nodes, tested.edges)
+            self._spend(pool.ids[left], begin)
+
+    def _shorten(self, pool: Pool, rows: np.ndarray, host: Route) -> np.ndarray:
         """Shortens paths in the guide's eyes, checks them, and keeps what is certified and shorter.
 
         Returns:
             Of each row, whether a path was kept.
         """
         begin = self.clock.now()
-        ids = search.ids[rows]
-        num = size_for(len(rows))
-        inner = Search(num, self.clock, self.tester, self.scenes)
+        inner = self._shortcuts(pool, rows, host)
+        num = inner.size
+        asked, own, kept = np.zeros(num, int), np.arange(num), np.zeros(len(rows), bool)
+        begin = self._spend(pool.ids[rows], begin)
+        while (inner.ids >= 0).any():
+            live = np.flatnonzero(inner.ids >= 0)
+            route, found = inner.route()
+            begin = self._spend(inner.ids[live], begin)
+            gone = (found.num[live] == 0) | (
+                (asked[live] >= _MOST_SHORTCUTS) & found.edge_unknown[live].any(axis=1)
+            )
+            inner.ids[live[gone]] = -1
+            live = live[~gone]
+            if not len(live):
+                break
+            tested = inner.test(found, live, _MOST_SHORTCUTS - asked[live])
+            self._count(inner.ids[live], tested.outcome)
+            asked[live] += tested.outcome.num_edges
+            begin = self._spend(inner.ids[live], begin)
+            left = found.edge_unknown[live] & (tested.edges[live] == UNKNOWN)
+            through = live[~tested.outcome.refuted & ~left.any(axis=1)]
+            paths = [found.points[row, : found.num[row]] for row in through]
+            certified = self._certify(inner.ids[through], paths)
+            begin = self._spend(inner.ids[through], begin)
+            for row, good in zip(through, certified, strict=True):
+                tested.edges[row, np.flatnonzero(~good)] = INVALID
+                if good.all():
+                    kept[own[row]], inner.ids[row] = True, -1
+            if (inner.ids >= 0).any():
+                inner.learn(route, tested.nodes, tested.edges)
+                if inner.is_wide():
+                    left = inner.shrink()
+                    asked, own = asked[left], own[left]
+        return kept
+
+    def _shortcuts(self, pool: Pool, rows: np.ndarray, host: Route) -> Pool:
+        """The path roadmaps of the paths of some slots, in a pool of their own."""
+        inner = Pool(size_for(len(rows)), self.clock, self.tester, self.scenes)
         for first in range(0, len(rows), self.chunk):
             part = np.arange(first, min(first + self.chunk, len(rows)))
             padded = rows[np.resize(part, self.chunk)]
-            readings = self.clock.call(_take, search.reading, padded)
+            readings = self.clock.call(take, pool.reading, padded)
             priced = self.clock.call(
                 self.strategy.shortcuts,
                 self.strategy.weights,
@@ -412,41 +400,40 @@ class Run:
                 host.points[padded],
                 np.int32(len(part)),
             )
-            inner.enter(part, ids[part], (priced, ()))
-        asked, own, kept = np.zeros(num, int), np.arange(num), np.zeros(len(rows), bool)
+            inner.enter(part, pool.ids[rows[part]], priced, ())
         jax.block_until_ready(inner.priced)
-        begin = self._spend("shortcuts", ids, begin)
-        while (inner.ids >= 0).any():
-            live = np.flatnonzero(inner.ids >= 0)
-            route, found = inner.route()
-            begin = self._spend("short route", inner.ids[live], begin)
-            gone = (found.num[live] == 0) | (
-                (asked[live] >= MOST_SHORTCUTS) & found.edge_unknown[live].any(axis=1)
+        return inner
+
+    def _plans(self) -> list[Plan]:
+        return [
+            make_plan(
+                path,
+                f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe}), "
+                f"{self.rounds[i]} rounds; more effort may find one",
+                self.robot.num_dof,
+                edge_checks=int(self.edge_checks[i]),
+                sampling_checks=int(self.sampling_checks[i]),
+                search_checks=int(self.search_checks[i]),
+                planning_time_s=float(self.planning_time[i]),
+                total_time_s=float(self.total_time[i]),
+                roadmaps=max(1, int(self.roadmaps[i])),
             )
-            inner.ids[live[gone]] = -1
-            live = live[~gone]
-            if not len(live):
-                break
-            tested = inner.test(found, live, MOST_SHORTCUTS - asked[live])
-            self._count(inner.ids[live], tested.outcome)
-            asked[live] += tested.outcome.num_edges
-            begin = self._spend("short test", inner.ids[live], begin)
-            left = found.edge_unknown[live] & (tested.edges[live] == UNKNOWN)
-            through = live[~tested.outcome.refuted & ~left.any(axis=1)]
-            paths = [found.points[row, : found.num[row]] for row in through]
-            certified = self._certify(inner.ids[through], paths)
-            begin = self._spend("short certify", inner.ids[through], begin)
-            for row, good in zip(through, certified, strict=True):
-                tested.edges[row, np.flatnonzero(~good)] = INVALID
-                if good.all():
-                    kept[own[row]], inner.ids[row] = True, -1
-            if (inner.ids >= 0).any():
-                inner.learn(route, tested.nodes, tested.edges)
-                slots = inner.shrink()
-                asked, own = asked[slots], own[slots]
-        return kept
+            for i, path in enumerate(self.paths)
+        ]
 
 
-ROADMAPS_A_LEVEL = 4
-MOST_ROUNDS = 25  # of a roadmap
-MOST_SHORTCUTS = 8  # edges; what needs more is hardly ever free
+class _Slots(NamedTuple):
+    """What the host knows of the slots of a pool."""
+
+    number: np.ndarray  # [S] of the roadmap
+    rounds: np.ndarray  # [S]
+    first_look: np.ndarray  # [S] 1 where the path has not been shortened yet
+
+
+def scenes_on_device(scenes: Scene) -> Scene:
+    """Scenes `[P]`, padded to one of few numbers, for which kernels are compiled."""
+    num, room = len(scenes.mask), 1
+    while room < num:
+        room *= 16
+    rows = np.minimum(np.arange(room), num - 1)
+    return jax.tree.map(lambda x: jnp.asarray(x[rows]), scenes)

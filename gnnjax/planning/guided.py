@@ -8,13 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.collision.checker import Checker
 from gnnjax.devices import map_first
 from gnnjax.errors import InputError
 from gnnjax.guide.guide import RISK_WEIGHT, Guide
+from gnnjax.planning.clock import Clock
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius
 from gnnjax.roadmap.paths import for_each_edge
+from gnnjax.roadmap.sampled import sample_roadmap
 from gnnjax.roadmap.stored import (
     NUM_LOCAL,
     add_local_nodes,
@@ -28,13 +31,16 @@ from gnnjax.search.shorten import PATH_POINTS, shortened, spread_along
 
 # Most pieces that a motion is looked at in; the longest edge is that from start to goal.
 EDGE_PIECES, SHORTCUT_PIECES, LOCAL_PIECES = 16, 12, 6
+JUDGED = 16  # edges of a path that are looked at in a round
+
+# nats; a roadmap whose best path is less likely to be free than e^-this waits until others were
+# tried.
+GIVE_UP = 4.0
 
 _BLOCK = 256  # motions that are priced at once
 
 
-def price_wanted(
-    price: Any, nodes: jax.Array, near: jax.Array, wanted: jax.Array
-) -> jax.Array:
+def price_wanted(price: Any, nodes: jax.Array, near: jax.Array, wanted: jax.Array) -> jax.Array:
     """Prices of the motions from the first rows of `nodes` to their neighbors, where wanted.
 
     Args:
@@ -60,46 +66,122 @@ _WIDE_NODES = (400, 600)
 _ROADMAPS_A_SEED = 1000  # seeds of stored roadmaps: of query seed s, from 1000 s on
 
 
+class Entered(NamedTuple):
+    """Problems that enter a pool, `[B]`."""
+
+    priced: Priced
+    reading: Any  # what the guide read of the scenes
+    num_checks: jax.Array  # [B] configurations tested for the roadmaps
+
+
 class Guided:
-    """Roadmaps nobody has checked, priced by a guide."""
+    """Roadmaps nobody has checked, and shortcuts in them, priced by a guide.
+
+    Functions are for B problems, of which the first `num` count.
+    """
 
     def __init__(self, robot: Robot, guide: Guide, options: PlannerOptions):
+        """Args:
+        robot: the arm.
+        guide: prices motions.
+        options: number of nodes, and whether they are sampled, and paths shortened.
+        """
         num_nodes = options.num_nodes
         if num_nodes < PATH_POINTS:
             raise InputError(
                 f"num_nodes is {num_nodes}; planner 'guided' needs at least {PATH_POINTS}"
             )
         self.robot, self.guide, self.options = robot, guide, options
-        self.weights = guide.weights
+        self.weights, self.shorten = guide.weights, options.shorten
         wide = int(np.clip(num_nodes, *_WIDE_NODES))
-        self.sizes = num_nodes, wide
-        self.radius, self.wide_radius = (default_radius(robot, n) for n in self.sizes)
+        self._sizes = num_nodes, wide
+        self.radius, self._wide_radius = (default_radius(robot, n) for n in self._sizes)
+        self.give_up = GIVE_UP
         self.describe = f"{num_nodes} nodes, then {wide} and {2 * NUM_LOCAL} around the ends"
+        if options.sampled:
+            self.describe = f"{num_nodes} nodes, radius {self.radius:.2f}"
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether all prices are final when a problem enters."""
+        return self.guide.stored is not None or self.options.sampled
+
+    def with_weights(self, weights: Any) -> "Guided":
+        """The same with other weights, and the same compiled functions."""
+        self.weights = weights
+        return self
 
     def most_slots(self, number: int) -> int:
-        """Of a pool; later roadmaps are large."""
-        return 64 if number else 256
+        """Of a pool; larger roadmaps leave the caches."""
+        return 64 if number or self.options.num_nodes > 400 else 256
 
     def enter(
-        self, call: Any, problems: Problem, direct: np.ndarray, num: int, seed: int, number: int
-    ) -> tuple[Priced, Any]:
-        """Roadmaps of B problems, priced, and what the guide reads of their scenes."""
-        stored, table, offsets = self._stored(seed, number)
-        if number == 0:
-            return call(self._first, self.weights, stored, table, problems, direct, np.int32(num))
-        return call(self._later, self.weights, stored, table, offsets, problems, direct, np.int32(num))
+        self,
+        clock: Clock,
+        problems: Problem,
+        straight: np.ndarray,
+        num: int,
+        seed: int,
+        number: int,
+        checker: Checker,
+    ) -> Entered:
+        """Roadmaps of problems, priced.
 
-    @functools.lru_cache(maxsize=32)
+        Args:
+            clock: of the run.
+            problems: `[B]`.
+            straight: `[B]` status of the straight lines from starts to goals.
+            num: how many of them count.
+            seed: of the query.
+            number: of the roadmap, from 0 on.
+            checker: tests nodes where those are sampled.
+        """
+        count = np.int32(num)
+        if self.options.sampled:
+            key = jax.random.fold_in(jax.random.key(seed), number)
+            return clock.call(self._sampled, self.weights, key, problems, straight, count, checker)
+        stored, table, offsets = self._stored(seed, number)
+        own = (self.weights, stored, table)
+        if number == 0:
+            return clock.call(self._first, *own, problems, straight, count)
+        return clock.call(self._later, *own, offsets, problems, straight, count)
+
+    @functools.lru_cache(maxsize=32)  # noqa: B019 - a strategy lives as long as its roadmaps
     def _stored(self, seed: int, number: int) -> tuple[Roadmap, Any, jax.Array]:
-        size = self.sizes[min(number, 1)]
+        size = self._sizes[min(number, 1)]
         stored = stored_roadmap(self.robot, size - 2, seed * _ROADMAPS_A_SEED + number)
         tabulate = self.guide.tabulate
         key = jax.random.fold_in(jax.random.key(seed), number)
         offsets = jax.block_until_ready(_local_offsets(key, self.robot.num_dof))
         return stored, None if tabulate is None else tabulate(stored), offsets
 
+    @functools.partial(jax.jit, static_argnums=(0, 6))
+    def _sampled(self, weights, key, problems: Problem, straight, num, checker: Checker) -> Entered:
+        """Roadmaps of nodes that are tested, like those of other planners."""
+
+        def one(problem: Problem) -> tuple[Roadmap, jax.Array, Any, jax.Array]:
+            reading = self.guide.read(weights, problem.scene)
+            motions = self.guide.prices(weights, reading).motions
+            sampled = sample_roadmap(
+                key,
+                functools.partial(checker.check_configurations, problem.scene),
+                self.robot,
+                problem.start,
+                problem.goal,
+                num_nodes=self.options.num_nodes,
+                radius=self.radius,
+            )
+            price = for_each_edge(sampled.roadmap, lambda a, b: motions(a, b, EDGE_PIECES))
+            return sampled.roadmap, price, reading, sampled.num_checks
+
+        roadmaps, price, readings, checks = map_first(one, num, problems)
+        priced = self._priced(roadmaps, price, straight, judged=True)
+        nodes = jnp.full(priced.known.node_status.shape, VALID, jnp.int8)
+        known = priced.known._replace(node_status=nodes)
+        return Entered(priced._replace(known=known), readings, checks)
+
     @functools.partial(jax.jit, static_argnums=0)
-    def _first(self, weights, stored, table, problems: Problem, direct, num) -> tuple[Priced, Any]:
+    def _first(self, weights, stored, table, problems: Problem, straight, num) -> Entered:
         guide = self.guide
 
         def with_ends(problem: Problem) -> tuple[Roadmap, Any]:
@@ -136,10 +218,11 @@ class Guided:
                 return price
 
             price = map_first(joined, num, (roadmaps, readings, inner))
-        return self._priced(roadmaps, price, direct, judged=guide.stored is not None), readings
+        priced = self._priced(roadmaps, price, straight, judged=guide.stored is not None)
+        return Entered(priced, readings, jnp.zeros(len(price), jnp.int32))
 
     @functools.partial(jax.jit, static_argnums=0)
-    def _later(self, weights, stored, table, offsets, problems: Problem, direct, num) -> tuple[Priced, Any]:
+    def _later(self, weights, stored, table, offsets, problems: Problem, straight, num) -> Entered:
         guide = self.guide
         limits = self.robot.joint_lower, self.robot.joint_upper
         num_special, (num_stored, num_slots) = 2 + 2 * NUM_LOCAL, stored.neighbors.shape
@@ -158,7 +241,9 @@ class Guided:
             problem, reading, inner = turn
             prices = guide.prices(weights, reading)
             ends = problem.start, problem.goal
-            roadmap = add_local_nodes(offsets, stored, *ends, self.wide_radius, limits, prices.nodes)
+            roadmap = add_local_nodes(
+                offsets, stored, *ends, self._wide_radius, limits, prices.nodes
+            )
             # Edges of special nodes, from the smaller node; the others are stored.
             near = roadmap.neighbors[:num_special]
             own = jnp.arange(num_special)[:, None]
@@ -171,25 +256,33 @@ class Guided:
             stored_near = roadmap.neighbors[num_special:, num_slots:]
             column = jnp.arange(num_special, num_special + num_stored)[:, None]
             beside = jnp.where(
-                stored_near < num_special, both[jnp.minimum(stored_near, num_special - 1), column], 0.0
+                stored_near < num_special,
+                both[jnp.minimum(stored_near, num_special - 1), column],
+                0.0,
             )
             price = jnp.concatenate([both[own, near], jnp.concatenate([inner, beside], axis=1)])
             return roadmap, price
 
         roadmaps, price = map_first(one, num, (problems, readings, inner))
-        return self._priced(roadmaps, price, direct, judged=True), readings
+        priced = self._priced(roadmaps, price, straight, judged=True)
+        return Entered(priced, readings, jnp.zeros(len(price), jnp.int32))
 
-    def _priced(self, roadmaps: Roadmap, price: jax.Array, direct: jax.Array, judged: bool) -> Priced:
+    def _priced(
+        self, roadmaps: Roadmap, price: jax.Array, straight: jax.Array, judged: bool
+    ) -> Priced:
         status = jnp.zeros(roadmaps.neighbors.shape, jnp.int8)
-        is_direct = jnp.stack(
+        is_straight = jnp.stack(
             [roadmaps.neighbors[:, START] == GOAL, roadmaps.neighbors[:, GOAL] == START], axis=1
         )
         status = status.at[:, : GOAL + 1].set(
-            jnp.where(is_direct, direct[:, None, None].astype(jnp.int8), UNKNOWN)
+            jnp.where(is_straight, straight[:, None, None].astype(jnp.int8), UNKNOWN)
         )
         node_status = jnp.zeros(roadmaps.node_mask.shape, jnp.int8).at[:, : GOAL + 1].set(VALID)
         return Priced(
-            roadmaps, RISK_WEIGHT * price, jnp.full(price.shape, judged), Knowledge(status, node_status)
+            roadmaps,
+            RISK_WEIGHT * price,
+            jnp.full(price.shape, judged),
+            Knowledge(status, node_status),
         )
 
     @functools.partial(jax.jit, static_argnums=0)

@@ -45,9 +45,13 @@ class PlannerOptions:
     """Nodes of a roadmap, start and goal included; of the first one, for guided."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up; 1 is the paper's way."""
+    effort: int = 1
+    """For guided alone: how much is tried before giving up, in steps of four roadmaps (up to
+    max_roadmaps) and 25 rounds of search on each."""
     weights: Path | None = None
     """File of weights, folder of a checkpoint, or name of shipped weights; by default those for the
-    planner."""
+    planner. For guided: of a motion network (motion is shipped); by default the distance field of
+    the scene is the guide, which has none."""
     shorten: bool = True
     """Shorten paths before they are checked; for guided alone."""
     sampled: bool = False
@@ -106,6 +110,8 @@ def check_options(options: PlannerOptions) -> None:
         )
     if options.max_roadmaps < 1:
         raise InputError(f"max_roadmaps is {options.max_roadmaps}; it must be at least 1")
+    if options.effort < 1:
+        raise InputError(f"effort is {options.effort}; it must be at least 1")
     # NaN fails both comparisons.
     if not options.resolution >= 1e-3:
         raise InputError(
@@ -115,8 +121,9 @@ def check_options(options: PlannerOptions) -> None:
         raise InputError(f"time_limit is {options.time_limit}; it must be more than 0 s")
     if options.is_classical and not np.isfinite(options.time_limit):
         raise InputError(f"time_limit with planner {name!r} is infinite; choose some seconds")
-    if name != "guided" and (options.sampled or not options.shorten):
-        option = "sampled" if options.sampled else "shorten=False"
+    if name != "guided" and (options.sampled or not options.shorten or options.effort > 1):
+        option = "sampled" if options.sampled else f"effort={options.effort}"
+        option = option if options.shorten else "shorten=False"
         raise InputError(
             f"{option} with planner {name!r}; it is for planner 'guided', leave it out"
         )

@@ -3,9 +3,8 @@
 import functools
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,16 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.certify import check_scene
+from gnnjax.collision.checker import make_checker
+from gnnjax.collision.sequences import SequenceTester
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, check_seed
+from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide
 from gnnjax.planning import strategy as strategies
-from gnnjax.planning.compiled import Compiled, compile_strategy
-from gnnjax.planning.batch import FIRST, LATER, SHORTEN, Batch
+from gnnjax.planning.engine import Run
+from gnnjax.planning.guided import Guided
 from gnnjax.planning.options import PlannerOptions, check_options, make_options
-from gnnjax.planning.query import Plan, QueryPlanner, base_clear, check_query
+from gnnjax.planning.query import Plan, QueryPlanner, check_query
 from gnnjax.planning.strategy import Strategy
+from gnnjax.planning.walks import Compiled, Walks, compile_strategy
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import Scene, is_axis_aligned
@@ -30,9 +32,6 @@ from gnnjax.search.greedy import Scorer
 
 # Of `load_planner`: ranks neighbors on one roadmap in one scene.
 MakeScorer = Callable[[Roadmap, Scene], Scorer]
-
-# What decides what is compiled: problems at once, padded boxes, and whether none is rotated.
-_Shape: TypeAlias = tuple[int, int, bool]
 
 
 def load_planner(
@@ -48,10 +47,10 @@ def load_planner(
     Args:
         robot: name of a shipped robot, or path of an MJCF.
         planner: one of `PLANNERS`, but for OMPL's, which `evaluate` makes.
-        guide: for "guided": your own, in place of the motion network.
+        guide: for "guided": your own, in place of the distance field.
         scorer: for "greedy": `(roadmap, scene) -> Scorer`.
-        options: see `PlannerOptions`: num_nodes, max_roadmaps, weights, shorten, sampled, checker,
-            resolution, time_limit.
+        options: see `PlannerOptions`: num_nodes, max_roadmaps, effort, weights, shorten, sampled,
+            checker, resolution, time_limit.
 
     Raises:
         InputError: an unknown robot, planner or option, or options that do not fit the planner.
@@ -94,23 +93,26 @@ def make_planner(
 
         return ClassicalPlanner(robot, options)
     if name == "guided":
-        guide = guide or _motion_guide(robot, options)
-        return Planner(robot, strategies.guided(robot, guide, options), options)
+        return GuidedPlanner(
+            robot, Guided(robot, guide or _guide(robot, options), options), options
+        )
     if name in ("gnn", "gnn_lazy"):
         from gnnjax.paper import strategy as paper
 
-        return Planner(robot, paper.from_weights(robot, options), options)
+        return WalkPlanner(robot, paper.from_weights(robot, options), options)
     if scorer is not None:
-        return Planner(robot, strategies.greedy(robot, options, scorer), options)
-    return Planner(robot, getattr(strategies, name)(robot, options), options)
+        return WalkPlanner(robot, strategies.greedy(robot, options, scorer), options)
+    return WalkPlanner(robot, getattr(strategies, name)(robot, options), options)
 
 
-def _motion_guide(robot: Robot, options: PlannerOptions) -> Guide:
+def _guide(robot: Robot, options: PlannerOptions) -> Guide:
+    """The distance field, or the motion network whose weights the options name."""
+    if options.weights is None:
+        return field_guide(robot)
     from gnnjax.guide.motion import MotionNetwork, motion_guide
     from gnnjax.training.weights import load_network_as
 
-    weights = "motion" if options.weights is None else options.weights
-    return motion_guide(robot, load_network_as(MotionNetwork, weights, "guided"))
+    return motion_guide(robot, load_network_as(MotionNetwork, options.weights, "guided"))
 
 
 class Planner:
@@ -119,13 +121,15 @@ class Planner:
     Compiles on the first query and keeps the result on disk; `warm_up` does so beforehand.
     """
 
-    def __init__(self, robot: Robot, strategy: Strategy, options: PlannerOptions):
+    def __init__(self, robot: Robot, strategy: Guided | Strategy, options: PlannerOptions):
+        """Args:
+        robot: the arm.
+        strategy: how a problem is planned.
+        options: limits.
+        """
         check_options(options)
         cache_compilations()
-        self.robot, self.options = robot, options
-        self.strategy = strategy
-        # Shapes and parts that are compiled.
-        self._warm: set[tuple[int, int, bool, int]] = set()
+        self.robot, self.strategy, self.options = robot, strategy, options
         self.use_weights(strategy.weights)
 
     @property
@@ -138,7 +142,7 @@ class Planner:
         # Restored weights are bound to a device. So would be all that is computed with them, and
         # JAX would compile anew for what is bound and what is not.
         weights = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), weights)
-        self.strategy = self.strategy._replace(weights=weights)
+        self.strategy = self.strategy.with_weights(weights)
 
     def plan(self, scene: Scene, start: ArrayLike, goal: ArrayLike, *, seed: int = 0) -> Plan:
         """Finds a certified path from start to goal `[D]`.
@@ -146,11 +150,6 @@ class Planner:
         Raises:
             InputError: start or goal is no valid configuration, or a box stands in the base.
         """
-        check_scene(scene)
-        shape = 1, len(scene.mask), is_axis_aligned(scene)
-        if (*shape, FIRST) not in self._warm:
-            check_query(self.robot, scene, start, goal)  # refused before a minute of compilation
-            self._warm_up(scene, shape, FIRST)
         begin = time.perf_counter()
         start, goal = check_query(self.robot, scene, start, goal)
         checking = time.perf_counter() - begin
@@ -162,18 +161,14 @@ class Planner:
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
         """Plans P problems at once; every plan is what `plan` finds for its problem.
 
-        Times are shared out equally over the problems that were worked on together.
+        Times are shared out equally over the problems that were worked on together, and hold no
+        compilation.
 
         Args:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of the roadmaps; the same for each problem.
         """
-        seed = check_seed(seed)
-        scene = jax.tree.map(lambda x: x[0], problems.scene)
-        # One rotated box in the batch, and all are taken for rotated.
-        shape = len(problems.start), len(scene.mask), is_axis_aligned(problems.scene)
-        need = functools.partial(self._warm_up, scene, shape)
-        return self._batch(problems, shape, seed, need).run()
+        raise NotImplementedError
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         """Compiles all that planning in scenes like this may need, unless that was done before.
@@ -185,38 +180,52 @@ class Planner:
             scene: whose padded number of boxes, and whether one is rotated, are what counts.
             batch_size: problems at once.
         """
-        shape = batch_size, len(scene.mask), is_axis_aligned(scene)
-        wanted = {
-            FIRST: True,
-            LATER: self.strategy.has_later and self.options.max_roadmaps > 1,
-            SHORTEN: self.strategy.shorten is not None,
-        }
-        parts = [part for part, is_wanted in wanted.items() if is_wanted]
-        # Caches do not keep threads from making the same functions twice, of which one is kept.
-        self._compiled(shape[2])
-        base_clear(self.robot, scene)
-        with ThreadPoolExecutor() as pool:  # side by side: 39 s instead of 52 s on two cores
-            list(pool.map(functools.partial(self._warm_up, scene, shape), parts))
+        raise NotImplementedError
 
-    def _warm_up(self, scene: Scene, shape: _Shape, part: int) -> None:
-        if (*shape, part) in self._warm:
-            return
-        base_clear(self.robot, scene)
-        num = shape[0]
-        ends = np.tile(self.robot.home, (num, 1))
-        scenes = jax.tree.map(lambda x: np.broadcast_to(x, (num, *np.shape(x))), scene)
-        self._batch(Problem(ends, ends, scenes), shape, 0).warm_up(part)
-        self._warm.add((*shape, part))
 
-    def _batch(
-        self,
-        problems: Problem,
-        shape: _Shape,
-        seed: int,
-        need: Callable[[int], None] | None = None,
-    ) -> Batch:
-        compiled = self._compiled(shape[2])
-        return Batch(self.robot, self.strategy, self.options, compiled, problems, seed, need)
+class GuidedPlanner(Planner):
+    """Plans with a guide, in a pool that problems enter and leave (`engine.py`)."""
+
+    strategy: Guided
+
+    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
+        return self._run(problems, check_seed(seed), len(problems.start)).run()
+
+    def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
+        q = np.tile(self.robot.home, (batch_size, 1))
+        scenes = jax.tree.map(lambda x: np.broadcast_to(x, (batch_size, *np.shape(x))), scene)
+        self._run(Problem(q, q, scenes), 0, batch_size).warm_up()
+
+    def _run(self, problems: Problem, seed: int, pool: int) -> Run:
+        # One rotated box in the batch, and all are taken for rotated.
+        tester = self._tester(is_axis_aligned(problems.scene))
+        return Run(self.robot, self.strategy, self.options, tester, problems, seed, pool)
+
+    @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
+    def _tester(self, axis_aligned: bool) -> SequenceTester:
+        options = self.options
+        checker = make_checker(
+            self.robot, options.checker, axis_aligned=axis_aligned, resolution=options.resolution
+        )
+        return SequenceTester(self.robot, checker, options.resolution)
+
+
+class WalkPlanner(Planner):
+    """Plans on sampled roadmaps, one problem after the other (`walks.py`)."""
+
+    strategy: Strategy
+
+    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
+        return self._walks(problems, check_seed(seed)).run()
+
+    def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
+        q = np.tile(self.robot.home, (batch_size, 1))
+        scenes = jax.tree.map(lambda x: np.broadcast_to(x, (batch_size, *np.shape(x))), scene)
+        self._walks(Problem(q, q, scenes), 0).warm_up()
+
+    def _walks(self, problems: Problem, seed: int) -> Walks:
+        compiled = self._compiled(is_axis_aligned(problems.scene))
+        return Walks(self.robot, self.strategy, self.options, compiled, problems, seed)
 
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
     def _compiled(self, axis_aligned: bool) -> Compiled:

@@ -30,7 +30,6 @@ _CANDIDATES = 6  # drawn for each local node; the network picks
 _NEAR_NODES, _NEAR_LOCAL, _NEAR_ENDS, _NEAR_STORED = 12, 8, 16, 4
 
 
-
 @functools.lru_cache(maxsize=64)
 def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
     """The nodes of a scrambled Sobol sequence that are free of self-collision, joined within the
@@ -136,15 +135,16 @@ def add_local_nodes(
     ends = jnp.stack([start, goal])
     local = _choose_local(offsets, ends, limits, price)  # [2 L D]
     is_new = _differs_from_earlier(ends, local)  # [2 L]
-    first_local, first_stored = 2, 2 + 2 * num_local
+    first_stored = 2 + 2 * num_local
     special = jnp.concatenate([ends, local.reshape(-1, ends.shape[1])])  # ends and local nodes
     special_mask = jnp.concatenate([jnp.ones(2, bool), is_new.ravel()])
     far = jnp.linalg.norm(special[:, None] - stored.nodes, axis=-1)  # [2 + 2 L, N]
     far = jnp.where(special_mask[:, None] & stored.node_mask, far, jnp.inf)
-    joined = _nearest(far, jnp.concatenate([jnp.full(2, _NEAR_ENDS), jnp.full(2 * num_local, _NEAR_NODES)]))
-    joined &= (far <= _END_REACH * radius) | (jnp.arange(len(special)) >= 2)[:, None]
+    is_end = jnp.arange(len(special)) < 2
+    joined = _nearest(far, jnp.where(is_end, _NEAR_ENDS, _NEAR_NODES))
+    joined &= (far <= _END_REACH * radius) | ~is_end[:, None]
     # Of the local nodes that want it, a stored node takes the nearest of either side.
-    sides = [slice(first_local + side * num_local, first_local + (side + 1) * num_local) for side in (0, 1)]
+    sides = [slice(2 + side * num_local, 2 + (side + 1) * num_local) for side in (0, 1)]
     to_stored, to_special = jnp.where(joined, far, jnp.inf), []
     for side in sides:
         negative, taken = jax.lax.top_k(-to_stored[side].T, _NEAR_STORED)  # [N R]
@@ -153,7 +153,9 @@ def add_local_nodes(
         to_stored = to_stored.at[side].set(kept.T)
         to_special.append((taken + side.start, -negative))
     within = jnp.linalg.norm(local[:, :, None] - local[:, None], axis=-1)  # [2 L L]
-    within = jnp.where(is_new[:, :, None] & is_new[:, None] & ~jnp.eye(num_local, dtype=bool), within, jnp.inf)
+    within = jnp.where(
+        is_new[:, :, None] & is_new[:, None] & ~jnp.eye(num_local, dtype=bool), within, jnp.inf
+    )
     mutual = jnp.stack([_nearest(one, jnp.full(num_local, _NEAR_LOCAL)) for one in within])
     within = jnp.where(mutual & jnp.swapaxes(mutual, 1, 2), within, jnp.inf)
     to_end = jnp.where(is_new, jnp.linalg.norm(local - ends[:, None], axis=-1), jnp.inf)  # [2 L]
@@ -169,7 +171,8 @@ def add_local_nodes(
     rows = [(jnp.broadcast_to(jnp.arange(2), (num_stored, 2)), to_stored[:2].T), *to_special]
     stored_near = [stored.neighbors + first_stored, *(near for near, _ in rows)]
     stored_lengths = [
-        jnp.where(stored.neighbor_mask, stored.lengths, jnp.inf), *(length for _, length in rows)
+        jnp.where(stored.neighbor_mask, stored.lengths, jnp.inf),
+        *(length for _, length in rows),
     ]
     lengths = jnp.concatenate([-negative, jnp.concatenate(stored_lengths, axis=1)])
     neighbors = jnp.concatenate([near, jnp.concatenate(stored_near, axis=1)])

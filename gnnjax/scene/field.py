@@ -45,7 +45,7 @@ def cell_of(grid: Grid, point: Vector) -> Int[Array, "..."]:
         grid: of the field.
         point: three arrays, m.
     """
-    index: Int[Array, "..."] | int = 0
+    index: Int[Array, ...] | int = 0
     for x, low, size in zip(point, grid.lower, grid.shape, strict=True):
         at = (jnp.asarray(x, jnp.float32) - low) / grid.cell - 0.5
         # As everywhere in such loops: `clip` would have to carry NaN.

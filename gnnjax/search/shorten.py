@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.collision.checker import EdgeChecks
-from gnnjax.roadmap.graph import GOAL, START, Roadmap
+from gnnjax.roadmap.graph import GOAL, Roadmap
 from gnnjax.roadmap.paths import cost_to_go, follow, next_slots
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search

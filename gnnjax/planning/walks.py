@@ -1,0 +1,190 @@
+"""Problems on sampled roadmaps: roadmap after roadmap is drawn and searched, one problem after the
+other inside of one compiled function, until a path is certified.
+
+A path that cannot be certified is searched around, never returned.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.checker import EdgeChecks, make_checker
+from gnnjax.devices import over_problems
+from gnnjax.planning.clock import Clock
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.query import Plan, make_plan
+from gnnjax.planning.strategy import Checks, Strategy
+from gnnjax.problems.problem import Problem
+from gnnjax.roadmap.graph import GOAL, Roadmap
+from gnnjax.roadmap.sampled import SampledRoadmap
+from gnnjax.scene.scene import Scene
+from gnnjax.search.knowledge import INVALID, SearchResult, unknown_edges
+
+
+class Compiled(NamedTuple):
+    """A strategy's functions over P problems, compiled on their first call.
+
+    `propose`: `(key, problems, active)`; `search`: `(weights, roadmaps, scenes, status, active)`.
+    """
+
+    propose: Callable
+    search: Callable
+
+
+def compile_strategy(
+    robot: Robot, strategy: Strategy, options: PlannerOptions, axis_aligned: bool
+) -> Compiled:
+    """Makes the jitted parts of a query."""
+    checker = make_checker(
+        robot, options.checker, axis_aligned=axis_aligned, resolution=options.resolution
+    )
+
+    def checks_in(scene: Scene) -> Checks:
+        def check_edge(start: jax.Array, end: jax.Array) -> EdgeChecks:
+            checks = checker.check_edges(scene, start[None], end[None])
+            return EdgeChecks(checks.valid[0], checks.num_checks[0])
+
+        return Checks(
+            check_edge,
+            functools.partial(checker.check_edges, scene),
+            functools.partial(checker.check_configurations, scene),
+        )
+
+    @jax.jit
+    def propose(key: jax.Array, problems: Problem, active: jax.Array) -> SampledRoadmap:
+        def one(problem: Problem) -> SampledRoadmap:
+            return strategy.propose(key, problem, checks_in(problem.scene))
+
+        return over_problems(one, active, problems)
+
+    @jax.jit
+    def search(weights, roadmaps, scenes, status, active) -> tuple[SearchResult, jax.Array]:
+        def one(roadmap: Roadmap, scene: Scene, status: jax.Array):
+            found = strategy.search(weights, roadmap, scene, checks_in(scene), status)
+            return found, roadmap.nodes[jnp.where(found.path >= 0, found.path, GOAL)]
+
+        return over_problems(one, active, roadmaps, scenes, status)
+
+    return Compiled(propose, search)
+
+
+class Walks:
+    """P problems on their way: what was found and what it cost."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        strategy: Strategy,
+        options: PlannerOptions,
+        compiled: Compiled,
+        problems: Problem,
+        seed: int,
+    ):
+        self.robot, self.strategy, self.options = robot, strategy, options
+        self.compiled, self.problems, self.seed = compiled, problems, seed
+        self.clock = Clock()
+        num = len(problems.start)
+        self.scenes = jax.tree.map(np.asarray, problems.scene)
+        self.active = np.ones(num, bool)
+        self.paths: list[np.ndarray | None] = [None] * num
+        self.sampling_checks = np.full(num, 2)  # start and goal
+        self.edge_checks, self.search_checks, self.roadmaps = np.zeros((3, num), int)
+        self.planning_time, self.total_time = np.zeros((2, num))
+
+    def run(self) -> list[Plan]:
+        """Plans all problems."""
+        for number in range(self.options.max_roadmaps):
+            open_ = self._going_on()
+            if not open_.any():
+                break
+            self._work(self._begin(number, open_), open_)
+        return self._plans()
+
+    def warm_up(self) -> None:
+        """Compiles all that planning needs, and plans nothing."""
+        nobody = np.zeros(len(self.active), bool)
+        roadmaps = self._begin(0, nobody)
+        self._search(roadmaps, jax.vmap(unknown_edges)(roadmaps), nobody)
+
+    def _going_on(self) -> np.ndarray:
+        """Which problems are still open and have time left, `[P]`."""
+        return self.active & (self.total_time <= self.options.time_limit)
+
+    def _spend(self, rows: np.ndarray, begin: float, *, planning: bool) -> None:
+        taken = np.where(rows, (self.clock.now() - begin) / max(1, rows.sum()), 0)
+        self.total_time += taken
+        if planning:
+            self.planning_time += taken
+
+    def _begin(self, number: int, rows: np.ndarray) -> Roadmap:
+        """The roadmaps of an attempt."""
+        begin = self.clock.now()
+        key = jax.random.fold_in(jax.random.key(self.seed), number)
+        sampled = jax.block_until_ready(
+            self.clock.call(self.compiled.propose, key, self.problems, rows)
+        )
+        self._spend(rows, begin, planning=False)
+        self.sampling_checks += np.where(rows, sampled.num_checks, 0)
+        self.roadmaps += rows
+        return sampled.roadmap
+
+    def _work(self, roadmaps: Roadmap, rows: np.ndarray) -> None:
+        """Searches roadmaps until paths are certified, or there are none."""
+        begin, open_ = self.clock.now(), rows.copy()
+        status = jax.vmap(unknown_edges)(roadmaps)
+        while open_.any():
+            found, waypoints = self._search(roadmaps, status, open_)
+            status = np.array(found.edge_status)
+            open_ &= np.asarray(found.success)
+            for i in np.flatnonzero(open_):
+                walked = np.asarray(found.path)[i]
+                walked = walked[walked >= 0]
+                path = np.asarray(waypoints)[i][: len(walked)]
+                scene = jax.tree.map(lambda x, i=i: x[i], self.scenes)
+                certified = certify_edges(self.robot, scene, path[:-1], path[1:])
+                if certified.all():
+                    self.paths[i], self.active[i], open_[i] = path, False, False
+                for step in np.flatnonzero(~certified):
+                    for near, far in (walked[[step, step + 1]], walked[[step + 1, step]]):
+                        slots = np.asarray(roadmaps.neighbors)[i, near] == far
+                        status[i, near, slots] = INVALID
+        self._spend(rows, begin, planning=True)
+
+    def _search(
+        self, roadmaps: Roadmap, status: Any, rows: np.ndarray
+    ) -> tuple[SearchResult, jax.Array]:
+        found, waypoints = jax.block_until_ready(
+            self.clock.call(
+                self.compiled.search,
+                self.strategy.weights,
+                roadmaps,
+                self.problems.scene,
+                status,
+                rows,
+            )
+        )
+        self.edge_checks += np.where(rows, found.edge_checks, 0)
+        self.search_checks += np.where(rows, found.configuration_checks, 0)
+        return found, waypoints
+
+    def _plans(self) -> list[Plan]:
+        return [
+            make_plan(
+                path,
+                f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe})",
+                self.robot.num_dof,
+                edge_checks=int(self.edge_checks[i]),
+                sampling_checks=int(self.sampling_checks[i]),
+                search_checks=int(self.search_checks[i]),
+                planning_time_s=float(self.planning_time[i]),
+                total_time_s=float(self.total_time[i]),
+                roadmaps=int(self.roadmaps[i]),
+            )
+            for i, path in enumerate(self.paths)
+        ]
