@@ -105,7 +105,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     # One command for all of them; what was measured is not measured again.
     planned.clear()
     folders = {key: folder / key for key in ("data", "runs", "results")}
-    only = ("crossover", "failures")
+    only = ("crossover", "arms")
     run_all.run(run_all.RunAllConfig(quick=True, robot=str(tiny_path), only=only, **folders))
     assert not planned
 
