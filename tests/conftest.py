@@ -6,8 +6,8 @@ from pathlib import Path
 import jax
 import pytest
 
-# Nearly all of the tests' time is compilation. Of commands that tests start, too, which read this in
-# the environment.
+# Nearly all of the tests' time is compilation. Commands that tests start read this in their
+# environment.
 _SETTINGS = {
     "jax_disable_most_optimizations": True,
     "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".pytest_cache" / "jax"),
