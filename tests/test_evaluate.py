@@ -12,7 +12,7 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, run_command
 from gnnjax.evaluate import EvaluateConfig, evaluate, main, print_summary
 from gnnjax.files import locked
 from gnnjax.generate import GenerateConfig, generate
@@ -231,7 +231,7 @@ def test_bad_arguments_are_refused_in_one_line(
     words += ["--problems", str(problems), "--json", str(out)]
     monkeypatch.setattr("sys.argv", words + arguments)
     with pytest.raises(SystemExit) as exit_info:
-        main()
+        run_command(main)
     assert exit_info.value.code == 2
     said = capsys.readouterr().err
     assert message in said
@@ -239,8 +239,9 @@ def test_bad_arguments_are_refused_in_one_line(
     assert not out.exists()
 
 
-def test_the_command_refuses_what_is_not_there():
+def test_the_command_refuses_what_is_not_there(tmp_path):
     command = [sys.executable, "-m", "gnnjax.evaluate", "--problems", "missing.npz"]
+    command += ["--json", str(tmp_path / "out.json")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: no problem file 'missing.npz'; check the path")
