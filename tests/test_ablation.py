@@ -5,6 +5,7 @@ import json
 from experiments.ablation import EXPERIMENT
 from experiments.record import run
 from experiments.variants import AblationConfig, command, training, variants
+from gnnjax.planning.planner import load_planner
 from gnnjax.train import PRESETS
 
 
@@ -39,7 +40,19 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
         trained=tmp_path / "trained",
         results=tmp_path / "results",
     )
+    # Planners have tests of their own; the cheapest one stands in for those that have a network.
+    planner = load_planner(tiny_path, "distance", num_nodes=30, max_roadmaps=1)
+    asked = []
+
+    def make_planner(robot, options):
+        asked.append(options)
+        return planner
+
+    monkeypatch.setattr("experiments.measure.make_planner", make_planner)
     run(EXPERIMENT, config)
+    assert [options.planner for options in asked] == ["gnn", "gnn", "distance"]
+    assert len({options.weights for options in asked}) == 3
+    assert all((o.num_nodes, o.max_roadmaps) == (30, 1) for o in asked)
     first = (config.out / "ablation.json").read_text()
     rows = json.loads(first)["rows"]
     assert [row["variant"] for row in rows] == [

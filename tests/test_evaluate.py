@@ -12,8 +12,8 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
-from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, evaluate, print_summary
+from gnnjax.errors import InputError, run_command
+from gnnjax.evaluate import EvaluateConfig, evaluate, main, print_summary
 from gnnjax.files import locked
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.measure.statistics import summarize
@@ -223,11 +223,26 @@ def test_a_file_with_something_else_is_kept(tiny_path, problems, tmp_path, text,
         (["--json", "."], "error: '.' is a folder; name a file"),
     ],
 )
-def test_the_command_refuses_bad_arguments(tiny_path, problems, tmp_path, arguments, message):
-    command = [sys.executable, "-m", "gnnjax.evaluate", "--robot", str(tiny_path), "--planner"]
-    command += ["lazysp", "--problems", str(problems), "--json", str(tmp_path / "out.json")]
-    done = subprocess.run(command + arguments, capture_output=True, text=True, check=False)
+def test_bad_arguments_are_refused_in_one_line(
+    tiny_path, problems, tmp_path, monkeypatch, capsys, arguments, message
+):
+    out = tmp_path / "out.json"
+    words = ["evaluate", "--robot", str(tiny_path), "--planner", "lazysp"]
+    words += ["--problems", str(problems), "--json", str(out)]
+    monkeypatch.setattr("sys.argv", words + arguments)
+    with pytest.raises(SystemExit) as exit_info:
+        run_command(main)
+    assert exit_info.value.code == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert len(said.splitlines()) == 1
+    assert not out.exists()
+
+
+def test_the_command_refuses_what_is_not_there(tmp_path):
+    command = [sys.executable, "-m", "gnnjax.evaluate", "--problems", "missing.npz"]
+    command += ["--json", str(tmp_path / "out.json")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert message in done.stderr
+    assert done.stderr.startswith("error: no problem file 'missing.npz'; check the path")
     assert len(done.stderr.splitlines()) == 1
-    assert not (tmp_path / "out.json").exists()

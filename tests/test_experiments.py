@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tyro
+from flax import nnx
 
 from experiments import arms, crossover, failures, hard, measure, predictor, run_all
 from experiments.bounds import (
@@ -29,8 +30,10 @@ from experiments.statistics import statistics, summarize_seeds
 from experiments.strata import split
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
+from gnnjax.guide.motion import MotionNetwork
 from gnnjax.measure.rows import QUANTITIES
 from gnnjax.planning.planner import load_planner
+from gnnjax.training.weights import save_network
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +108,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     # One command for all of them; what was measured is not measured again.
     planned.clear()
     folders = {key: folder / key for key in ("data", "runs", "results")}
-    only = ("crossover", "failures")
+    only = ("crossover", "arms")
     run_all.run(run_all.RunAllConfig(quick=True, robot=str(tiny_path), only=only, **folders))
     assert not planned
 
@@ -127,7 +130,15 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     assert rows == earlier  # times too: nothing was run again
 
 
-def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder):
+def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder, monkeypatch):
+    def train_motion(made):
+        """Training has tests of its own."""
+        network = MotionNetwork(made.num_points, made.channels, rngs=nnx.Rngs(made.seed))
+        made.out.mkdir(parents=True)
+        save_network(made.out / "weights.safetensors", network, {})
+        return made.out / "weights.safetensors"
+
+    monkeypatch.setattr("experiments.training.train_motion", train_motion)
     folders = {key: folder / key for key in ("data", "runs", "results", "trained")}
     config = predictor.PredictorConfig(quick=True, robot=str(tiny_path), **folders)
     results = run(predictor.EXPERIMENT, config)

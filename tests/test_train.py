@@ -1,6 +1,7 @@
 """Training: its losses against plain loops, its runs, and its checkpoints."""
 
 import dataclasses
+import functools
 import json
 import shutil
 import struct
@@ -30,6 +31,25 @@ from gnnjax.train import LOSS_OPTIONS, PRESETS, make_optimizer, parse, train
 from gnnjax.training.checkpoint import TrainingCheckpoints
 from gnnjax.training.run import TrainingRun, TrainState
 from gnnjax.training.weights import load_network, read_metadata
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once():
+    """Trainings that differ in nothing but their folders share what they compile."""
+    steps, planners = {}, {}
+    make_step, make_planner = gnnjax.train.make_step, gnnjax.train.Planner
+
+    def shared_step(graphdef, optimizer, robot, config):
+        key = dataclasses.replace(config, out=Path(), resume=False)
+        return steps.setdefault(key, make_step(graphdef, optimizer, robot, config))
+
+    def shared_planner(robot, strategy, options):
+        return planners.setdefault(options, make_planner(robot, strategy, options))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gnnjax.train, "make_step", shared_step)
+        patch.setattr(gnnjax.train, "Planner", shared_planner)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -85,14 +105,17 @@ def test_targets_point_along_the_shortest_path(graphs, temperature):
 @pytest.mark.parametrize("every_step", [True, False])
 def test_the_walk_learns_from_the_nodes_that_a_plain_loop_visits(graphs, network, every_step):
     learned = 0
+    encode = jax.jit(lambda network, *graph: network.encode(*graph, edge_bucket(200)))
+    extend = jax.jit(lambda network, *path: network.extend_path(*path))
+    values_at = jax.jit(lambda network, *at: network.guidance_values(*at))
     for i in range(6):
         data = graph(graphs, i)
         target, counts = step_targets(data, 0.0)
-        encoding = network.encode(data.roadmap, data.problem.scene, edge_bucket(200))
-        state = network.extend_path(encoding, network.init_path(), 0)
+        encoding = encode(network, data.roadmap, data.problem.scene)
+        state = extend(network, encoding, network.init_path(), 0)
         node, visited, losses = 0, {0}, []
         for step in range(4):
-            values = np.asarray(network.guidance_values(encoding, state, data.roadmap, node))
+            values = np.asarray(values_at(network, encoding, state, data.roadmap, node))
             loss = -(target[node] * log_softmax(values, data.roadmap.neighbor_mask[node]))
             loss = np.nansum(np.where(np.asarray(target[node]) > 0, loss, 0))
             neighbors = np.asarray(data.roadmap.neighbors[node])
@@ -105,7 +128,7 @@ def test_the_walk_learns_from_the_nodes_that_a_plain_loop_visits(graphs, network
                 break
             node = int(following)
             visited.add(node)
-            state = network.extend_path(encoding, state, node)
+            state = extend(network, encoding, state, node)
         found, number = jax.jit(walk_losses, static_argnums=(0, 6, 7))(
             network, encoding, data, target, counts, jnp.int32(4), 10, every_step
         )
@@ -117,19 +140,17 @@ def test_the_walk_learns_from_the_nodes_that_a_plain_loop_visits(graphs, network
 
 def test_all_losses_are_finite_and_validity_ignores_padding(graphs, network):
     data = graph(graphs, 0)
-    losses = graph_losses(
-        network,
-        data,
-        jax.random.key(0),
-        **{name: getattr(PRESETS["smoke"], name) for name in LOSS_OPTIONS},
-    )
+    options = {name: getattr(PRESETS["smoke"], name) for name in LOSS_OPTIONS}
+    losses = jax.jit(functools.partial(graph_losses, **options))(network, data, jax.random.key(0))
     assert all(np.isfinite(value) for value in losses.values())
     mask = data.roadmap.neighbor_mask
-    outputs = network.edge_outputs(
-        network.encode(data.roadmap, data.problem.scene, edge_bucket(200)),
-        data.roadmap,
-        edge_bucket(200),
-    )
+
+    @jax.jit
+    def edge_outputs(network, roadmap, scene):
+        encoding = network.encode(roadmap, scene, edge_bucket(200))
+        return network.edge_outputs(encoding, roadmap, edge_bucket(200))
+
+    outputs = edge_outputs(network, data.roadmap, data.problem.scene)
     logits, valid = np.asarray(outputs.validity)[mask], np.asarray(data.labels.edge_valid)[mask]
     expected = np.log1p(np.exp(np.where(valid, -logits, logits))).mean()
     np.testing.assert_allclose(losses["validity_loss"], expected, rtol=1e-4)
@@ -143,6 +164,7 @@ def smoke(tiny_path, data_path, tmp_path_factory):
         data=data_path,
         robot=str(tiny_path),
         out=tmp_path_factory.mktemp("runs") / "smoke",
+        validation_problems=8,  # as many as are planned below, with what is compiled here
     )
     train(config)
     return config

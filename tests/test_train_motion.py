@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -20,6 +21,25 @@ from gnnjax.train_motion import (
 )
 from gnnjax.training.weights import load_network, read_metadata
 from tests.fine_scan import collides_anywhere
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once():
+    """Trainings that differ in nothing but their folders share what they compile."""
+
+    def shared(make):
+        made = {}
+
+        def make_once(robot, config, *rest):
+            key = robot, dataclasses.replace(config, out=Path(), resume=False), *rest
+            return made.setdefault(key, make(robot, config, *rest))
+
+        return make_once
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("make_batches", "make_validation"):
+            patch.setattr(gnnjax.train_motion, name, shared(getattr(gnnjax.train_motion, name)))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 For planners that ask from outside of JAX: OMPL's call back for each configuration or edge.
 """
 
+import functools
 import time
 from collections.abc import Callable
 
@@ -63,6 +64,7 @@ class Ledger:
         return self.cut_off
 
 
+@functools.cache
 def fused_checks(robot: Robot, axis_aligned: bool, max_boxes: int, resolution: float) -> Callable:
     """Checks by the fused kernel. The end of an edge is tested first, its interior in the order of
     `check_edges`, all in one call."""

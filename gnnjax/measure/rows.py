@@ -1,5 +1,8 @@
 """The result of one problem, as it goes to the file."""
 
+import functools
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,11 +63,13 @@ def within(row: dict, time_limit: float) -> dict:
 def straight_line_blocked(robot: Robot, checker: str, problems: Problem) -> np.ndarray:
     """Tells for each problem whether the straight line from start to goal is blocked: the hard
     ones. That does not depend on the resolution a planner is asked for."""
-    check = make_checker(
-        robot,
-        "mjx" if checker == "mjx" else "fused",
-        axis_aligned=is_axis_aligned(problems.scene),
-    )
+    blocked = _blocked(robot, checker == "mjx", is_axis_aligned(problems.scene))
+    return np.asarray(blocked(jax.tree.map(jnp.asarray, problems)))
+
+
+@functools.cache
+def _blocked(robot: Robot, on_mjx: bool, axis_aligned: bool) -> Callable[[Problem], jax.Array]:
+    check = make_checker(robot, "mjx" if on_mjx else "fused", axis_aligned=axis_aligned)
 
     @jax.jit
     def blocked(problems: Problem) -> jax.Array:
@@ -74,4 +79,4 @@ def straight_line_blocked(robot: Robot, checker: str, problems: Problem) -> np.n
 
         return jax.lax.map(one, problems)
 
-    return np.asarray(blocked(jax.tree.map(jnp.asarray, problems)))
+    return blocked

@@ -53,6 +53,7 @@ class LabelledRoadmap(NamedTuple):
     labels: Labels
 
 
+@functools.cache
 def generate_labelled(
     robot: Robot, num_nodes: int, checker: Backend = "fused", family: str = "paper"
 ) -> Callable[[jax.Array], Problem | LabelledRoadmap]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import orbax.checkpoint as ocp
 import tensorstore
 from flax import nnx
@@ -110,6 +111,11 @@ class TrainingCheckpoints:
         restored = jax.tree.map(lambda x: x, state.weights)
         nnx.replace_by_pure_dict(restored, items["weights"])
         optimizer = jax.tree.unflatten(structure, leaves)
+        # Restored arrays are bound to a device, and JAX would compile all that is done with them
+        # anew.
+        restored, optimizer = jax.tree.map(
+            lambda x: jnp.asarray(np.asarray(x)), (restored, optimizer)
+        )
         return epoch, state._replace(weights=restored, optimizer=optimizer), log
 
 
