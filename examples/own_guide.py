@@ -29,7 +29,8 @@ def prices(weights: jax.Array, scene: gnnjax.Scene) -> gnnjax.Prices:
     return gnnjax.Prices(nodes, motions)
 
 
-guide = gnnjax.Guide(weights=jnp.float32(100.0), prices=prices)
+# Nothing is computed beforehand once a scene: what `read` returns is the scene itself.
+guide = gnnjax.Guide(jnp.float32(100.0), read=lambda weights, scene: scene, prices=prices)
 planner = gnnjax.load_planner("kuka_iiwa14", guide=guide)
 scene = gnnjax.make_scene(centers=[[0.55, 0.0, 0.75]], half_extents=[[0.12, 0.3, 0.22]])
 plan = planner.plan(scene, [-0.9, 0.9, 0, -1, 0, 0.6, 0], [0.9, 0.9, 0, -1, 0, 0.6, 0])

@@ -16,10 +16,6 @@ _SETTINGS = {
 for _name, _value in _SETTINGS.items():
     jax.config.update(_name, _value)
     os.environ[_name.upper()] = str(_value)
-# The emitters that make fast loops take two thirds of what is left of compilation. Without them,
-# loops are fused otherwise where shapes differ; without fused multiply-adds that changes no result.
-_FLAGS = "--xla_cpu_use_fusion_emitters=false --xla_cpu_max_isa=AVX"
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FLAGS}"
 
 TINY = """
 <mujoco model="tiny">

@@ -37,15 +37,16 @@ def test_files_that_the_texts_name_exist():
 ORDER = """
 interruption errors files devices
 arm.mjcf arm.robot arm.kinematics arm.fit
-scene.shapes scene.scene scene.mujoco_world
-collision.geometry collision.components collision.fused collision.mjx collision.checker
+scene.shapes scene.scene scene.field scene.mujoco_world
+collision.geometry collision.components collision.fused collision.mjx collision.checker collision.sequences
 collision.obstacles collision.bounds collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
-guide.guide guide.view guide.motion
-search.knowledge search.greedy search.lazy search.shorten search.guided
+guide.guide guide.view guide.motion guide.field
+search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.families problems.family_problem
 problems.labelled
-planning.options planning.query planning.strategy planning.compiled planning.engine planning.planner
+planning.options planning.query planning.clock planning.strategy planning.walks
+planning.guided planning.pool planning.engine planning.planner
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
