@@ -87,7 +87,8 @@ class Run:
     def run(self) -> list[Plan]:
         """Plans all problems."""
         every = np.arange(len(self.paths))
-        for first in range(0, len(every), _STRAIGHT):
+        # Sampled roadmaps are searched as other planners do; most have no such edge.
+        for first in range(0, 0 if self.options.sampled else len(every), _STRAIGHT):
             self._test_straight_lines(every[first : first + _STRAIGHT])
         last = min(self.options.max_roadmaps, _ROADMAPS_A_LEVEL * self.options.effort)
         for level in range(0, last, _ROADMAPS_A_LEVEL):
@@ -202,7 +203,7 @@ class Run:
         """
         if not len(ids):
             return
-        most = self.strategy.most_slots(numbers[0])
+        most = self.strategy.most_slots(int(numbers[0]))
         pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock, self.tester, self.scenes)
         # Paths are not checked as they are, but shortened first, unless that has failed.
         slots = _Slots(*np.zeros((3, pool.size), int))
@@ -291,7 +292,7 @@ class Run:
         dear = ~none & (price > max_price) & ~host.unjudged[live].any(axis=1)
         for row, nats in zip(live[dear], price[dear], strict=True):
             self.kept[pool.ids[row]].append(
-                Kept(float(nats), int(slots.number[row]), pool.known(row))
+                Kept(float(nats), int(slots.number[row]), pool.known(int(row)))
             )
         gone = none | dear | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
         pool.ids[live[gone]] = -1
