@@ -38,8 +38,8 @@ ORDER = """
 interruption errors files devices
 arm.mjcf arm.robot arm.kinematics arm.fit
 scene.shapes scene.scene scene.field scene.mujoco_world
-collision.geometry collision.components collision.fused collision.mjx collision.checker collision.sequences
-collision.obstacles collision.bounds collision.gaps collision.certify
+collision.geometry collision.components collision.fused collision.mjx collision.checker
+collision.sequences collision.obstacles collision.bounds collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten

@@ -180,8 +180,9 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             # would send every sphere's coordinates through memory: three times slower.
             fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
             # The rotations may be None.
-            box = jax.tree.map(lambda x: x[i], tuple(boxes[:3]))
-            return smaller(box_pass(fresh, *box, gap), smallest)
+            parts = boxes.origins, boxes.rotations, boxes.half_extents
+            origin, rotation, extents = jax.tree.map(lambda x: x[i], parts)
+            return smaller(box_pass(fresh, origin, rotation, extents, gap), smallest)
 
         smallest = jnp.full(q.shape[:-1], jnp.inf, q.dtype)
         smallest = jax.lax.fori_loop(0, boxes.num, one_pass, smallest)
@@ -215,8 +216,9 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
     ) -> Bool[Array, " B"]:
         own = _boxes(jax.tree.map(lambda x: x[owner], scenes), axis_aligned)
         # One array a component, as everything else in a pass.
-        columns = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), tuple(own[:3]))
-        return is_free(_Boxes(*columns, own.num), nodes)
+        parts = own.origins, own.rotations, own.half_extents
+        origins, rotations, extents = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), parts)
+        return is_free(_Boxes(origins, rotations, extents, own.num), nodes)
 
     # Traced once a shape, however often a function that is compiled around it asks.
     return CollisionFunctions(clearance, jax.jit(collision_free), jax.jit(collision_free_each))
