@@ -78,7 +78,8 @@ class SequenceTester:
         first = np.cumsum(total) - total  # of a sequence
         done, alive = np.zeros(num, int), total > 0
         checks, culprit = np.zeros(num, int), np.full(num, len(points))
-        stretch = _FIRST_STRETCH
+        # A few may fill a block at once; many are mostly through with a few configurations each.
+        stretch = max(_FIRST_STRETCH, _BLOCKS[0] // num)
         while alive.any():
             rows = np.flatnonzero(alive)
             size = np.minimum(max(stretch, _BLOCKS[0] // len(rows)), (total - done)[rows])
