@@ -1,0 +1,81 @@
+"""The engine: whoever shares the pool, a problem's plan is its own."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from gnnjax.arm.robot import load_robot
+from gnnjax.errors import InputError
+from gnnjax.planning.options import make_options
+from gnnjax.planning.planner import make_planner
+from tests.test_guided_planner import check_path, one, random_problem, same
+
+NUM = 20
+
+
+@pytest.fixture(scope="module")
+def planner(tiny_path):
+    options = make_options("guided", num_nodes=40, max_roadmaps=2)
+    return make_planner(load_robot(tiny_path), options)
+
+
+@pytest.fixture(scope="module")
+def problems(planner):
+    """Hard ones: nine boxes around an arm of a metre."""
+    rng = np.random.default_rng(5)
+    drawn = [random_problem(planner.robot, rng, num=9) for _ in range(NUM)]
+    return jax.tree.map(lambda *x: np.stack(x), *drawn)
+
+
+@pytest.fixture(scope="module")
+def plans(planner, problems):
+    return planner.plan_batch(problems)
+
+
+def test_the_field_guides_to_certified_paths(planner, problems, plans):
+    assert 5 <= sum(plan.success for plan in plans) < NUM
+    assert sum(plan.success and len(plan.path) > 2 for plan in plans) >= 3
+    for i, plan in enumerate(plans):
+        if plan.success:
+            check_path(planner.robot, one(problems, i), plan)
+
+
+@pytest.mark.parametrize("pool", [1, 2, 16])
+def test_plans_do_not_depend_on_who_shares_the_pool(planner, problems, plans, pool):
+    # Twenty problems go through a pool of 16, or smaller ones, with refills.
+    assert same(planner._run(problems, 0, pool).run(), plans)
+
+
+def test_plans_do_not_depend_on_the_order(planner, problems, plans):
+    order = np.random.default_rng(0).permutation(NUM)[:7]
+    some = planner.plan_batch(jax.tree.map(lambda x: x[order], problems))
+    assert same(some, [plans[i] for i in order])
+
+
+def test_a_problem_that_is_none_leaves_the_others_alone(planner, problems, plans):
+    start = problems.start.copy()
+    start[3] = np.nan
+    found = planner.plan_batch(problems._replace(start=start))
+    assert not found[3].success
+    others = [i for i in range(NUM) if i != 3]
+    assert same([found[i] for i in others], [plans[i] for i in others])
+
+
+def test_more_effort_is_never_worse(planner, problems, plans, monkeypatch):
+    options = dataclasses.replace(planner.options, effort=4, max_roadmaps=8)
+    monkeypatch.setattr(planner, "options", options)
+    more = planner.plan_batch(problems)
+    assert all(b.success >= a.success for a, b in zip(plans, more, strict=True))
+    assert sum(b.success for b in more) >= sum(a.success for a in plans)
+    assert any(b.roadmaps > a.roadmaps for a, b in zip(plans, more, strict=True))
+
+
+def test_effort_has_to_be_positive_and_is_for_guided_alone(planner):
+    for name, effort, message in (
+        ("guided", 0, "effort is 0; it must be at least 1"),
+        ("lazysp", 2, "effort=2 with planner 'lazysp'; it is for planner 'guided'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make_planner(planner.robot, make_options(name, effort=effort))
