@@ -223,21 +223,31 @@ def test_capsules_are_chains_of_spheres_within_them_that_cover_their_axes(capsul
     assert chains == 3
 
 
-def test_margins_of_capsules_are_those_of_their_axes(capsules):
+def test_margins_of_capsules_are_those_of_their_chains_and_near_those_of_their_axes(capsules):
     grid = reach_grid(capsules)
     rng = np.random.default_rng(4)
-    field = jax.jit(distance_field(grid))(random_scene(rng))
+    field = jax.jit(distance_field(grid))(random_scene(rng, 9))
     q = random_configurations(capsules, rng, 200)
-    centers, axes, radii = geom_places(capsules, q)
-    line = centers[:, :, None] + np.linspace(-1, 1, 41)[:, None] * axes[:, :, None]
-    flat = line.reshape(len(q), -1, 3)
-    least, most = plain_margins(grid, field, flat, np.repeat(radii, 41))
     found = np.asarray(jax.jit(margin_function(capsules, grid))(field, q))
+    spheres, data, chains = _spheres(capsules), mujoco.MjData(capsules.mj_model), []
+    bodies = np.array(spheres.bodies) + 1  # the first of MuJoCo's is the world
+    assert len(bodies) > 16  # more than two passes
+    for row in q:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(capsules.mj_model, data)
+        turned = np.einsum("sij,sj->si", data.xmat.reshape(-1, 3, 3)[bodies], spheres.centers)
+        chains.append(data.xpos[bodies] + turned)
+    least, most = plain_margins(grid, field, np.array(chains), spheres.radii)
+    assert (found >= least - 1e-6).all()
+    assert (found <= most + 1e-6).all()
+    assert (least == most).mean() > 0.99
     # Between two spheres of a chain, half a radius from either at most, the field drops by no more
     # than the way and what two cells leave open.
-    assert (found >= least - 0.02).all()
-    assert (found <= most + radii.max() / 2 + np.sqrt(3) * grid.cell).all()
-    assert np.corrcoef(found, most)[0, 1] > 0.98
+    centers, axes, radii = geom_places(capsules, q)
+    line = centers[:, :, None] + np.linspace(-1, 1, 41)[:, None] * axes[:, :, None]
+    axis = plain_margins(grid, field, line.reshape(len(q), -1, 3), np.repeat(radii, 41))[1]
+    assert (found <= axis + radii.max() / 2 + np.sqrt(3) * grid.cell).all()
+    assert (found < 0).any()
 
 
 def softplus(margins):
