@@ -10,6 +10,7 @@ from gnnjax.scene.shapes import KINDS, TABLES, for_every_kind
 # Whatever meets obstacles; a new one belongs here.
 CONSUMERS = {
     "scene file": "gnnjax.scene.scene",
+    "distance field": "gnnjax.scene.field",
     "MuJoCo world": "gnnjax.scene.mujoco_world",
     "fused kernel": "gnnjax.collision.fused",
     "MJX backend": "gnnjax.collision.mjx",

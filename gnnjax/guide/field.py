@@ -122,14 +122,17 @@ def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
     longest = np.linalg.norm(nodes[second] - nodes[first], axis=1).max(initial=0.0)
     fraction = np.linspace(0, 1, int(np.ceil(longest / SPACING)) + 1, dtype=np.float32)[:, None]
     rows = []
-    visit = jax.jit(lambda q: jnp.stack([cell_of(grid, c) for c in _centers(robot, spheres, q)]))
+    visit = jax.jit(
+        lambda q: jnp.stack([cell_of(grid, list(c)) for c in _centers(robot, spheres, q)])
+    )
     ends = nodes[first][:, None], nodes[second][:, None]
     places = ends[0] + fraction * (ends[1] - ends[0])  # [E F D]
     seen = np.asarray(visit(jnp.asarray(places.reshape(-1, nodes.shape[1]))))  # [S EF]
-    seen = np.moveaxis(seen.reshape(len(spheres.radii), len(first), -1), 1, 0)  # [E S F]
+    shape = len(spheres.radii), len(first), len(fraction)
+    seen = np.moveaxis(seen.reshape(shape), 1, 0)  # [E S F]
     radii = np.broadcast_to(spheres.radii[:, None], seen.shape[1:]).ravel()
     descending = np.argsort(-radii, kind="stable")
-    for row in seen.reshape(len(first), -1):
+    for row in seen.reshape(len(first), radii.size):
         cells, at = np.unique(row[descending], return_index=True)
         rows.append((cells, radii[descending][at]))
     width = max((len(cells) for cells, _ in rows), default=1)
