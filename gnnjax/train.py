@@ -27,7 +27,7 @@ from gnnjax.paper.losses import graph_losses
 from gnnjax.paper.network import GuidanceNetwork, Part
 from gnnjax.paper.strategy import gnn
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import Planner
+from gnnjax.planning.planner import Planner, WalkPlanner
 from gnnjax.problems.labelled import (
     LabelledRoadmap,
     from_problem_set,
@@ -221,7 +221,7 @@ def train(config: TrainConfig) -> Path:
     )
     num_nodes = int(data.roadmap.node_mask.sum(axis=1).max())
     options = PlannerOptions(planner="gnn", num_nodes=num_nodes, max_roadmaps=1)
-    planner = Planner(robot, gnn(robot, network, options), options)
+    planner = WalkPlanner(robot, gnn(robot, network, options), options)
     validation = None
     if config.validation_problems:
         keys = problem_keys(config.seed, "validation", 0, config.validation_problems)

@@ -221,8 +221,9 @@ class Run:
                 slots.first_look[rows] = known is None and self.strategy.shorten
                 waiting += len(entering)
                 self._spend(ids[entering], begin, planning=False)
-            elif waiting == len(ids):
-                slots = _Slots(*(x[pool.shrink()] for x in slots)) if pool.is_wide() else slots
+            elif waiting == len(ids) and pool.is_wide():
+                left = pool.shrink()
+                slots = _Slots(*(x[left] for x in slots))
             self._round(pool, slots, max_price)
 
     def _enter(

@@ -54,14 +54,17 @@ def cheapest_routes(priced: Priced) -> Route:
         return edge_cost + cost.ravel()[flat]
 
     def sweep(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        cost, _ = state
+        cost, going_on = state
         better = jnp.minimum(cost, jnp.min(beyond(cost), axis=-1))
+        # Those that are through wait: more sweeps for others must not change what is equally cheap.
+        better = jnp.where(going_on[:, None], better, cost)
         # What is dearer than the start already is not on its way.
         changed = (better < cost) & (better <= better[:, START, None])
-        return better, jnp.any(changed)
+        return better, jnp.any(changed, axis=1)
 
     first = jnp.full((num, num_nodes), jnp.inf).at[:, GOAL].set(0.0)
-    cost, _ = jax.lax.while_loop(lambda state: state[1], sweep, (first, jnp.bool_(True)))
+    everyone = jnp.ones(num, bool)
+    cost, _ = jax.lax.while_loop(lambda state: jnp.any(state[1]), sweep, (first, everyone))
     slots = jnp.argmin(beyond(cost), axis=-1).astype(jnp.int32)
     path = jax.vmap(follow)(roadmap, slots, cost)
     return jax.vmap(_route)(priced, price, path, slots)
