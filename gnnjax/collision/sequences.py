@@ -9,7 +9,6 @@ is counted, is what testing it alone and one by one would give.
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
@@ -59,8 +58,8 @@ class SequenceTester:
     def warm_up(self, scenes: Scene, num_dof: int, most: int) -> None:
         """Compiles what up to `most` sequences may need."""
         for block in _BLOCKS:
-            zeros = jnp.zeros((block, num_dof))
-            jax.block_until_ready(self._check(scenes, jnp.zeros(block, jnp.int32), zeros))
+            zeros = np.zeros((block, num_dof), np.float32)
+            jax.block_until_ready(self._check(scenes, np.zeros(block, np.int32), zeros))
             # Stretches grow, so that even a lone sequence comes to the second size.
             if block > _BLOCKS[0] and most * _FIRST_STRETCH <= block:
                 break
@@ -80,7 +79,7 @@ class SequenceTester:
         done, alive = np.zeros(num, int), total > 0
         checks, culprit = np.zeros(num, int), np.full(num, len(points))
         # A few may fill a block at once; many are mostly through with a few configurations each.
-        stretch = max(_FIRST_STRETCH, _BLOCKS[0] // num)
+        stretch = max(_FIRST_STRETCH, _BLOCKS[0] // max(1, num))
         while alive.any():
             rows = np.flatnonzero(alive)
             size = np.minimum(max(stretch, _BLOCKS[0] // len(rows)), (total - done)[rows])
