@@ -39,7 +39,7 @@ class Turn(NamedTuple):
     """All problems planned once."""
 
     wall_s: float  # from the arrays of problems to the arrays of paths
-    cores: float | None  # kept busy in the mean; None for processes of their own
+    cores: float  # kept busy in the mean
     answers: list[Answer]
 
 
@@ -80,14 +80,17 @@ def in_processes(workers: Executor, case: EvaluateConfig, rows: np.ndarray) -> T
     """
     begin = time.perf_counter()
     one = functools.partial(answer_one, case)
-    answers = list(workers.map(one, rows.tolist(), chunksize=_HANDED_OUT))
-    return Turn(time.perf_counter() - begin, None, answers)
+    found = list(workers.map(one, rows.tolist(), chunksize=_HANDED_OUT))
+    wall = time.perf_counter() - begin
+    return Turn(wall, sum(cpu for _, cpu in found) / wall, [answer for answer, _ in found])
 
 
-def answer_one(case: EvaluateConfig, row: int) -> Answer:
-    """Answers one problem of a set, in a process that keeps planner and set."""
+def answer_one(case: EvaluateConfig, row: int) -> tuple[Answer, float]:
+    """Answers one problem of a set, in a process that keeps planner and set; and the CPU time."""
+    begin = time.process_time()
     one = jax.tree.map(lambda x: x[row : row + 1], read_problems(case.robot, case.problems))
-    return answer(planner_of(case), one, case.seed)[0]
+    found = answer(planner_of(case), one, case.seed)[0]
+    return found, time.process_time() - begin
 
 
 @functools.cache

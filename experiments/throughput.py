@@ -221,6 +221,12 @@ def ratio(ours: Row, theirs: Row) -> float:
     return float(np.median(np.array(ours["per_s"]) / np.array(theirs["per_s"])))
 
 
+def ratio_a_core(ours: Row, theirs: Row) -> float:
+    """The same of plans a second of CPU time, which other work on the machine changes less."""
+    per_core = (np.array(row["per_s"]) / np.array(row["cores"]) for row in (ours, theirs))
+    return float(np.median(np.divide(*per_core)))
+
+
 def draw(results: Row) -> Figure:
     """Draws plans a second over the pool: median and span of the turns, a panel a stratum."""
     figure = Figure(figsize=(11, 4.2), dpi=100, layout="constrained")
@@ -264,8 +270,20 @@ def table(results: Row) -> str:
         f"MotionBenchMaker's scenes): {seconds(VAMP_PLAN_S['first path'])} a plan, "
         f"{seconds(VAMP_PLAN_S['simplified'])} with simplification, in the mean.\n"
     ]
-    head = ["planner", "pool", "plans/s (least to most)", "cores busy", "solved of all, %"]
-    head += ["of accepted, %", "paths certified, %", "cost, mean", "configuration checks, median"]
+    head = [
+        "planner",
+        "pool",
+        "plans/s (least to most)",
+        "cores busy",
+        "plans a second of CPU time",
+    ]
+    head += [
+        "solved of all, %",
+        "of accepted, %",
+        "paths certified, %",
+        "cost, mean",
+        "configuration checks, median",
+    ]
     head += ["mean", "total of single queries, ms, median", "mean", "95th percentile"]
     for stratum, title in STRATA.items():
         rows = list(_of(results, stratum).values())
@@ -290,7 +308,8 @@ def _line(row: Row) -> list[str]:
         label(row["planner"]),
         str(row["pool"] or "-"),
         f"{np.median(rates):.1f} ({min(rates):.1f} to {max(rates):.1f})",
-        "-" if row["cores"] is None else f"{row['cores']:.1f}",
+        f"{np.median(row['cores']):.2f}",
+        f"{np.median(np.array(rates) / row['cores']):.1f}",
         *(percent(row[name]) for name in ("success_of_all", "success", "certified_paths")),
         cell(row["cost"], ".2f"),
         *(cell(checks, ".0f", key=key) for key in ("median", "mean")),
@@ -311,7 +330,8 @@ def verdict(results: Row) -> str:
             ours, theirs = rows[own, pool], rows[rival, None]
             times = ratio(ours, theirs)
             text = f"{title}: {label(own)} plans {np.median(ours['per_s']):.0f} a second in a pool "
-            text += f"of {pool}, {times:.2f} times {label(rival)}"
+            text += f"of {pool}, {times:.2f} times {label(rival)}, "
+            text += f"and {ratio_a_core(ours, theirs):.2f} times as many a second of CPU time"
             findings.append(Finding(times > 1, text))
             more = ratio(rows[own, largest], ours)
             growth.append(f"{more:.2f} times as many ({label(own)}, {title})")

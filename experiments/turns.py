@@ -55,12 +55,11 @@ def summarize(turns: list[Columns]) -> Row:
         return describe(values) if len(values) else None
 
     accepted, success, certified = map(column, ("accepted", "success", "certified"))
-    cores = [turn["cores"] for turn in turns if turn["cores"] is not None]
     return {
         "num_problems": len(turns[0]["accepted"]),
         "num_accepted": turns[0]["accepted"].count(True),
         "per_s": [per_s(turn) for turn in turns],
-        "cores": float(np.mean(cores)) if cores else None,
+        "cores": [turn["cores"] for turn in turns],
         "success_of_all": float(success.mean()),
         "success": float(success[accepted].mean()) if accepted.any() else None,
         "certified_paths": float(certified[success].mean()) if success.any() else None,

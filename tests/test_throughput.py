@@ -139,7 +139,7 @@ def test_summaries_leave_out_what_was_refused(tiny_path):
     solved, failed = (planner._plan(np.full(3, at, np.float32), np.ones(3)) for at in (0, 0.5))
     uncertified = solved._replace(certified=False, cost=5.0, configuration_checks=30)
     answers = [Answer(plan, 0.1) for plan in (solved, failed, uncertified, None)]
-    columns = summarize_turn(Turn(2.0, None, answers))
+    columns = summarize_turn(Turn(2.0, 0.5, answers))
     row = summarize([columns, columns | {"wall_s": 1.0}])
     assert row["per_s"] == [1.5, 3.0]
     assert (row["success_of_all"], row["success"]) == pytest.approx((1 / 2, 2 / 3))
@@ -147,12 +147,15 @@ def test_summaries_leave_out_what_was_refused(tiny_path):
     assert row["cost"]["mean"] == pytest.approx((np.sqrt(3) + 5) / 2)
     assert row["configuration_checks"]["mean"] == pytest.approx((9 + 9 + 30) / 3)
     assert row["total_time_s"]["mean"] == pytest.approx(0.6)
-    assert row["cores"] is None
+    assert row["cores"] == [0.5, 0.5]
 
 
 def test_a_verdict_compares_within_turns():
     def row(planner, pool, per_s):
-        return {"stratum": "accepted", "planner": planner, "pool": pool, "per_s": per_s}
+        # RRT-Connect keeps both cores busy, the others one.
+        cores = [1.0 + (pool is None)] * 3
+        key = {"stratum": "accepted", "planner": planner, "pool": pool}
+        return key | {"per_s": per_s, "cores": cores}
 
     rows = [
         row("guided", 256, [100, 50, 80]),  # 2, 1.25 and 0.8 times
@@ -165,7 +168,8 @@ def test_a_verdict_compares_within_turns():
     found = throughput.verdict({"settings": {"pools": [256, 1024]}, "rows": rows})
     held, failed = found.split("What does not hold")
     assert "guided plans 80 a second in a pool of 256, 1.25 times RRT-Connect, simplified" in held
-    assert "0.33 times RRT-Connect." in failed
+    assert "simplified, and 2.50 times as many a second of CPU time" in held
+    assert "0.33 times RRT-Connect, and 0.67 times as many a second of CPU time." in failed
     assert "2.00 times as many (guided, all accepted problems)" in failed
 
 
