@@ -204,7 +204,7 @@ def _rows(
                     turns.setdefault(contender, []).append(columns)
             for contender, taken in turns.items():
                 yield {"stratum": stratum, **contender._asdict()} | summarize(taken)
-            # What is planned does not depend on the pool.
+            # Which problems are solved does not depend on the pool.
             chosen = chosen[np.array(turns[Contender("guided", pools[-1])][0]["success"], bool)]
             if not len(chosen):
                 break
