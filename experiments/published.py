@@ -20,3 +20,8 @@ FIGURE7 = {
 # What a configuration check of others costs, s: orders of magnitude to read an axis by, which no
 # text quotes.
 CHECK_S = {"PyBullet": 80e-6, "a simulator": 1e-2}
+
+# VAMP (Thomason, Kingston and Kavraki, "Motions in Microseconds via Vectorized Sampling-Based
+# Planning"): its mean time of a plan, s, by its authors' own account. RRT-Connect in C++ with SIMD
+# and spheres, 699 of MotionBenchMaker's problems of the Panda: another machine, other problems.
+VAMP_PLAN_S = {"first path": 76e-6, "simplified": 144e-6}

@@ -1,0 +1,138 @@
+"""Planners against the clock: from arrays of problems to certified paths, by every core there is.
+
+Ours plan a pool of problems at once in this process, whose kernels use all cores. OMPL's plan one
+problem after the other in processes of their own, each on a core of its own. Either way the clock
+runs from the arrays of all problems to the last path: queries are checked, and paths certified.
+"""
+
+import functools
+import multiprocessing
+import os
+import resource
+import sys
+import time
+from concurrent.futures import Executor, ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from gnnjax.arm.robot import load_robot
+from gnnjax.evaluate import EvaluateConfig
+from gnnjax.planning.planner import make_planner
+from gnnjax.planning.query import Plan, QueryPlanner, check_queries
+from gnnjax.problems.problem import Problem
+from gnnjax.problems.shards import load_problems
+
+_HANDED_OUT = 8  # problems that a process is given at a time
+
+
+class Answer(NamedTuple):
+    """What became of a problem."""
+
+    plan: Plan | None  # None where the query was refused
+    checking_s: float  # share of the time that checking the queries took
+
+
+class Turn(NamedTuple):
+    """All problems planned once."""
+
+    wall_s: float  # from the arrays of problems to the arrays of paths
+    cores: float  # kept busy in the mean
+    answers: list[Answer]
+
+
+def answer(planner: QueryPlanner, problems: Problem, seed: int) -> list[Answer]:
+    """Checks P queries and plans at once those that are accepted."""
+    begin = time.perf_counter()
+    reasons = check_queries(planner.robot, problems)
+    share = (time.perf_counter() - begin) / len(reasons)
+    accepted = np.flatnonzero([reason is None for reason in reasons])
+    plans: list[Plan | None] = [None] * len(reasons)
+    if len(accepted):
+        chosen = jax.tree.map(lambda x: x[accepted], problems)
+        found = planner.plan_batch(chosen, seed=seed)
+        for i, plan in zip(accepted, found, strict=True):
+            plans[i] = plan
+    return [Answer(plan, share) for plan in plans]
+
+
+def in_pools(planner: QueryPlanner, problems: Problem, pool: int, seed: int) -> Turn:
+    """Plans problems in batches that are as equal as can be, none of more than `pool`."""
+    num = len(problems.start)
+    batches = np.array_split(np.arange(num), -(-num // pool))
+    answers: list[Answer] = []
+    begin, cpu = time.perf_counter(), time.process_time()
+    for batch in batches:
+        answers += answer(planner, jax.tree.map(lambda x, at=batch: x[at], problems), seed)
+    wall = time.perf_counter() - begin
+    return Turn(wall, (time.process_time() - cpu) / wall, answers)
+
+
+def in_processes(workers: Executor, case: EvaluateConfig, rows: np.ndarray) -> Turn:
+    """Plans problems of a set one by one, each in the first process that is free for it.
+
+    Args:
+        workers: of `start_workers`.
+        case: planner, robot, problem set and seed.
+        rows: of the set.
+    """
+    begin = time.perf_counter()
+    one = functools.partial(answer_one, case)
+    found = list(workers.map(one, rows.tolist(), chunksize=_HANDED_OUT))
+    wall = time.perf_counter() - begin
+    return Turn(wall, sum(cpu for _, cpu in found) / wall, [answer for answer, _ in found])
+
+
+def answer_one(case: EvaluateConfig, row: int) -> tuple[Answer, float]:
+    """Answers one problem of a set, in a process that keeps planner and set; and the CPU time."""
+    begin = time.process_time()
+    one = jax.tree.map(lambda x: x[row : row + 1], read_problems(case.robot, case.problems))
+    found = answer(planner_of(case), one, case.seed)[0]
+    return found, time.process_time() - begin
+
+
+@functools.cache
+def planner_of(case: EvaluateConfig) -> QueryPlanner:
+    """The planner of a case."""
+    return make_planner(load_robot(case.robot), case)
+
+
+@functools.cache
+def read_problems(robot: str, path: Path) -> Problem:
+    """All problems of a set."""
+    return load_problems(path, load_robot(robot)).problems
+
+
+def start_workers(num: int) -> Executor:
+    """Processes with a core each, as long as there are cores."""
+    context: Any = multiprocessing.get_context("spawn")  # JAX has threads, which no fork survives
+    numbers = context.SimpleQueue()
+    for number in range(num):
+        numbers.put(number)
+    return ProcessPoolExecutor(num, context, _stay_on_core, (numbers,))
+
+
+def _stay_on_core(numbers: Any) -> None:
+    """Before JAX starts: it starts as many threads as it may use cores."""
+    number = numbers.get()
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[number % len(cores)]})
+
+
+def peak_memory(case: EvaluateConfig, num: int) -> float:
+    """Most memory, MiB, of a process that does nothing but plan so many problems at once."""
+    context: Any = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, context) as process:
+        return process.submit(_peak_memory, case, num).result()
+
+
+def _peak_memory(case: EvaluateConfig, num: int) -> float:
+    problems = jax.tree.map(lambda x: x[:num], read_problems(case.robot, case.problems))
+    planner = planner_of(case)
+    planner.warm_up(jax.tree.map(lambda x: x[0], problems.scene), num)
+    answer(planner, problems, case.seed)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / (2**20 if sys.platform == "darwin" else 2**10)

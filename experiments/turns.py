@@ -1,0 +1,69 @@
+"""What contenders needed for the same problems, turn by turn: kept in files, and summed up."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.contenders import Turn
+from experiments.results import Row
+from gnnjax.files import atomic_write, check_target
+from gnnjax.measure.statistics import describe
+
+Columns = dict[str, Any]  # a turn as it is kept: the clock, and a list for each quantity
+
+
+def kept(path: Path, measure: Callable[[], Any]) -> Any:
+    """What an earlier run has measured, or else this one measures and keeps."""
+    if not path.exists():
+        check_target(path)
+        text = json.dumps(measure(), allow_nan=False) + "\n"
+        atomic_write(path, lambda file: file.write_text(text, encoding="utf-8"))
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def summarize_turn(turn: Turn) -> Columns:
+    """A turn as it is kept; None for what a problem has not."""
+    plans = [answer.plan for answer in turn.answers]
+    return {
+        "wall_s": turn.wall_s,
+        "cores": turn.cores,
+        "accepted": [plan is not None for plan in plans],
+        "success": [plan is not None and plan.success for plan in plans],
+        "certified": [plan is not None and plan.certified for plan in plans],
+        "cost": [plan.cost if plan and plan.success else None for plan in plans],
+        "configuration_checks": [plan and plan.configuration_checks for plan in plans],
+        "total_time_s": [a.plan and a.plan.total_time_s + a.checking_s for a in turn.answers],
+    }
+
+
+def per_s(turn: Columns) -> float:
+    """Accepted problems a second."""
+    return turn["accepted"].count(True) / turn["wall_s"]
+
+
+def summarize(turns: list[Columns]) -> Row:
+    """Sums up a contender's turns over the same problems."""
+
+    def column(name: str) -> np.ndarray:
+        return np.array([value for turn in turns for value in turn[name] if value is not None])
+
+    def described(name: str) -> dict[str, float] | None:
+        values = column(name)
+        return describe(values) if len(values) else None
+
+    accepted, success, certified = map(column, ("accepted", "success", "certified"))
+    return {
+        "num_problems": len(turns[0]["accepted"]),
+        "num_accepted": turns[0]["accepted"].count(True),
+        "per_s": [per_s(turn) for turn in turns],
+        "cores": [turn["cores"] for turn in turns],
+        "success_of_all": float(success.mean()),
+        "success": float(success[accepted].mean()) if accepted.any() else None,
+        "certified_paths": float(certified[success].mean()) if success.any() else None,
+        "cost": described("cost"),
+        "configuration_checks": described("configuration_checks"),
+        "total_time_s": described("total_time_s"),
+    }
