@@ -139,7 +139,8 @@ def test_local_nodes_lie_around_the_ends_within_limits(robot, stored, widen):
     local = roadmap.nodes[2:num].reshape(2, NUM_LOCAL, 3)
     assert ((local >= robot.joint_lower) & (local <= robot.joint_upper)).all()
     apart = np.linalg.norm(local - ends[:, None], axis=-1)
-    assert (np.median(apart, axis=1) < 1.2).all()
+    elsewhere = np.linalg.norm(stored.nodes[:NUM] - ends[:, None], axis=-1)
+    assert (np.median(apart, axis=1) < np.median(elsewhere, axis=1) / 1.5).all()
     assert roadmap.node_mask[:num].all()
     # Around the start there are enough that look free; around the goal hardly any.
     assert (local[0, :, 0] >= 0).all()
@@ -162,7 +163,7 @@ def test_ends_are_joined_with_their_local_nodes_and_with_each_other(robot, store
         assert not near & others
         reach = 1.3 * default_radius(robot, NUM + 2)
         order = [j for j in np.argsort(apart[end]) if j >= first and roadmap.node_mask[j]]
-        assert near - set(range(first)) == {j for j in order[:16] if apart[end, j] <= reach}
+        assert near - set(range(first)) == {j for j in order[:20] if apart[end, j] <= reach}
         joined = 0
         for node in own:
             around = {j for i, j in found if i == node}
@@ -170,11 +171,11 @@ def test_ends_are_joined_with_their_local_nodes_and_with_each_other(robot, store
             assert len(around & set(own)) <= 8
             # With some of the nearest stored nodes: with those that do not have nearer ones.
             order = [j for j in np.argsort(apart[node]) if j >= first and roadmap.node_mask[j]]
-            assert around - set(range(first)) <= set(order[:12])
+            assert around - set(range(first)) <= set(order[:20])
             joined += len(around - set(range(first)))
         assert joined > 2 * NUM_LOCAL
         for node in range(first, len(roadmap.nodes)):
-            assert len({j for i, j in found if i == node} & set(own)) <= 4
+            assert len({j for i, j in found if i == node} & set(own)) <= 8
     within = {(i, j) for i, j in found if min(i, j) >= first}
     assert within == {(i + first, j + first) for i, j in edges(stored)}
 

@@ -23,11 +23,11 @@ from gnnjax.roadmap.sobol import sobol_points
 _SLOTS = 32
 _END_REACH = 1.3  # of the radius: how far start and goal are joined with nodes
 NUM_LOCAL = 24  # nodes around either end
-_LOCAL_SCALES = (0.15, 0.3, 0.6, 1.0)  # rad (or m), standard deviations around an end
+_LOCAL_SCALES = (0.3, 0.6, 1.0, 1.5)  # rad (or m), standard deviations around an end
 _CANDIDATES = 6  # drawn for each local node; the network picks
 # How many a local node is joined with: stored nodes, and those of its side; an end with stored
 # nodes; and a stored node with local ones of a side.
-_NEAR_NODES, _NEAR_LOCAL, _NEAR_ENDS, _NEAR_STORED = 12, 8, 16, 4
+_NEAR_NODES, _NEAR_LOCAL, _NEAR_ENDS, _NEAR_STORED = 20, 8, 20, 8
 
 
 @functools.lru_cache(maxsize=64)
