@@ -1,10 +1,30 @@
 """All experiments; a new one is a module and an entry here."""
 
-from experiments import ablation, arms, crossover, failures, figure5, figure7, hard, predictor
+from experiments import (
+    ablation,
+    arms,
+    crossover,
+    failures,
+    figure5,
+    figure7,
+    hard,
+    predictor,
+    throughput,
+)
 from experiments.record import Experiment
 
 # In the order in which they share runs: crossover, hard and failures read those of figure5.
 EXPERIMENTS: dict[str, Experiment] = {
     module.EXPERIMENT.name: module.EXPERIMENT
-    for module in (figure5, figure7, crossover, hard, failures, arms, predictor, ablation)
+    for module in (
+        figure5,
+        figure7,
+        crossover,
+        hard,
+        failures,
+        arms,
+        predictor,
+        ablation,
+        throughput,
+    )
 }

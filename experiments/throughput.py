@@ -32,7 +32,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
 from experiments.cases import classical_case
@@ -47,13 +46,13 @@ from experiments.contenders import (
 )
 from experiments.measure import ExperimentConfig
 from experiments.published import VAMP_PLAN_S
-from experiments.record import Experiment, Finding, Measurement, judge, run
+from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.style import COLORS, label
 from experiments.tables import cell, markdown, seconds
 from experiments.turns import Columns, kept, per_s, summarize, summarize_turn
 from gnnjax.arm.robot import load_robot
-from gnnjax.errors import InputError, run_command
+from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.problems.shards import load_problems
@@ -352,14 +351,5 @@ EXPERIMENT = Experiment(
 )
 
 
-def command() -> None:
-    """Runs the experiment and prints its table and, unless it was a quick look, its verdict."""
-    config = tyro.cli(ThroughputConfig)
-    results = run(EXPERIMENT, config)
-    print(table(results))
-    if not config.quick:
-        print(f"{EXPERIMENT.claim} {verdict(results)}")
-
-
 if __name__ == "__main__":
-    run_command(command)
+    main(EXPERIMENT)

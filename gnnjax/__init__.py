@@ -10,6 +10,7 @@ from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import Checker, EdgeChecks, make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
+from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.guide.motion import MotionNetwork, motion_guide
 from gnnjax.planning.options import PlannerOptions
@@ -66,6 +67,7 @@ __all__ = [
     "cost_to_go",
     "default_radius",
     "edge_validity",
+    "field_guide",
     "forward_kinematics",
     "greedy_search",
     "label_roadmap",

@@ -15,14 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import certify_edges
-from gnnjax.collision.sequences import Items, Outcome, SequenceTester
+from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.guide.guide import RISK_WEIGHT
-from gnnjax.planning.clock import Clock
 from gnnjax.planning.guided import JUDGED, Guided
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.pool import Pool, size_for, sizes_up_to, take
-from gnnjax.planning.query import Plan, make_plan, path_length
+from gnnjax.planning.progress import Progress
+from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, UNKNOWN, Knowledge
@@ -49,7 +48,7 @@ class Kept:
     known: Knowledge
 
 
-class Run:
+class Run(Progress):
     """A batch of P problems on its way: what was found and what it cost."""
 
     def __init__(
@@ -71,17 +70,13 @@ class Run:
         seed: of the roadmaps.
         pool: most problems on their way at once.
         """
-        self.robot, self.strategy, self.options = robot, strategy, options
-        self.tester, self.seed, self.pool, self.clock = tester, seed, pool, Clock()
+        super().__init__(robot, problems)
+        self.strategy, self.options = strategy, options
+        self.tester, self.seed, self.pool = tester, seed, pool
         self.chunk = _CHUNKS[pool > 1]
-        num = len(problems.start)
-        self.problems = jax.tree.map(np.asarray, problems)
         self.scenes = scenes_on_device(self.problems.scene)
-        self.paths: list[np.ndarray | None] = [None] * num
+        num = len(self.paths)
         self.straight = np.zeros(num, np.int8)  # status of the straight line
-        self.sampling_checks = np.full(num, 2)  # start and goal
-        self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
-        self.planning_time, self.total_time = np.zeros((2, num))
         self.kept: list[list[Kept]] = [[] for _ in range(num)]
 
     def run(self) -> list[Plan]:
@@ -108,7 +103,13 @@ class Run:
                     known = [again[i].known for i in group]
                     self._attempt(ids[group], numbers[group], np.inf, known)
             self.kept = [[] for _ in every]
-        return self._plans()
+        return self.plans(
+            [
+                f"no path in the {roadmaps} roadmaps tried ({self.strategy.describe}), {rounds} "
+                "rounds; more effort may find one"
+                for roadmaps, rounds in zip(self.roadmaps, self.rounds, strict=True)
+            ]
+        )
 
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
@@ -135,56 +136,19 @@ class Run:
         late = self.total_time > self.options.time_limit
         return np.array([i for i in ids if self.paths[i] is None and not late[i]], int)
 
-    def _spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
-        """Shares out the time since `begin` over those that were worked on; returns the time."""
-        now = self.clock.now()
-        share = (now - begin) / max(1, len(ids))
-        self.total_time[ids] += share
-        if planning:
-            self.planning_time[ids] += share
-        return now
-
     def _test_straight_lines(self, ids: np.ndarray) -> None:
         """Tests the straight lines from starts to goals."""
         begin = self.clock.now()
         starts, goals = self.problems.start[ids], self.problems.goal[ids]
         items = Items(np.arange(len(ids)), ids, starts, goals, np.ones(len(ids), bool))
         outcome = self.tester(self.scenes, items, len(ids))
-        self._count(ids, outcome)
+        self.count(ids, outcome)
         self.straight[ids] = INVALID
         free = ~outcome.refuted
         lines = [np.stack([self.problems.start[i], self.problems.goal[i]]) for i in ids[free]]
-        begin = self._spend(ids, begin)
-        self._certify(ids[free], lines)
-        self._spend(ids, begin)
-
-    def _count(self, ids: np.ndarray, outcome: Outcome) -> None:
-        self.edge_checks[ids] += outcome.num_edges
-        self.search_checks[ids] += outcome.num_checks
-
-    def _certify(self, ids: np.ndarray, paths: list[np.ndarray]) -> list[np.ndarray]:
-        """Keeps paths that are certified and shorter than what there is.
-
-        Returns:
-            Of each path, which of its edges are certified.
-        """
-        if not len(ids):
-            return []
-        steps = np.array([len(path) - 1 for path in paths])
-        scenes = jax.tree.map(lambda x: x[ids], self.problems.scene)
-        certified = certify_edges(
-            self.robot,
-            scenes,
-            np.concatenate([path[:-1] for path in paths]),
-            np.concatenate([path[1:] for path in paths]),
-            np.repeat(np.arange(len(ids)), steps),
-        )
-        found = np.split(certified, np.cumsum(steps)[:-1])
-        for i, path, good in zip(ids, paths, found, strict=True):
-            known = self.paths[i]
-            if good.all() and (known is None or path_length(path) < path_length(known)):
-                self.paths[i] = path
-        return found
+        begin = self.spend(ids, begin)
+        self.certify(ids[free], lines)
+        self.spend(ids, begin)
 
     def _attempt(
         self,
@@ -220,7 +184,7 @@ class Run:
                 slots.number[rows], slots.rounds[rows] = numbers[entering], 0
                 slots.first_look[rows] = known is None and self.strategy.shorten
                 waiting += len(entering)
-                self._spend(ids[entering], begin, planning=False)
+                self.spend(ids[entering], begin, planning=False)
             elif waiting == len(ids) and pool.is_wide():
                 left = pool.shrink()
                 slots = _Slots(*(x[left] for x in slots))
@@ -264,12 +228,12 @@ class Run:
         route, host = pool.route()
         slots.rounds[live] += 1
         self.rounds[pool.ids[live]] += 1
-        begin = self._spend(pool.ids[live], begin)
+        begin = self.spend(pool.ids[live], begin)
         live = self._leave(pool, slots, live, host, max_price)
         unjudged = host.unjudged[live].any(axis=1)
         if unjudged.any():
             self._judge(pool, live[unjudged], route, host)
-            begin = self._spend(pool.ids[live[unjudged]], begin)
+            begin = self.spend(pool.ids[live[unjudged]], begin)
             live = live[~unjudged]
         to_shorten = (slots.first_look[live] > 0) & (host.num[live] > 2)
         rows, testing = live[to_shorten], live[~to_shorten]
@@ -328,11 +292,11 @@ class Run:
         """Tests the paths of some slots; what holds is certified, shortened, and leaves."""
         begin = self.clock.now()
         tested = pool.test(host, rows)
-        self._count(pool.ids[rows], tested.outcome)
+        self.count(pool.ids[rows], tested.outcome)
         through = rows[~tested.outcome.refuted]
         paths = [host.points[row, : host.num[row]] for row in through]
-        certified = self._certify(pool.ids[through], paths)
-        begin = self._spend(pool.ids[rows], begin)
+        certified = self.certify(pool.ids[through], paths)
+        begin = self.spend(pool.ids[rows], begin)
         for row, good in zip(through, certified, strict=True):
             tested.edges[row, np.flatnonzero(~good)] = INVALID
         through = through[[bool(good.all()) for good in certified]]
@@ -344,7 +308,7 @@ class Run:
         left = rows[pool.ids[rows] >= 0]
         if len(left):
             pool.learn(route, tested.nodes, tested.edges)
-            self._spend(pool.ids[left], begin)
+            self.spend(pool.ids[left], begin)
 
     def _shorten(self, pool: Pool, rows: np.ndarray, host: Route) -> np.ndarray:
         """Shortens paths in the guide's eyes, checks them, and keeps what is certified and shorter.
@@ -356,11 +320,11 @@ class Run:
         inner = self._shortcuts(pool, rows, host)
         num = inner.size
         asked, own, kept = np.zeros(num, int), np.arange(num), np.zeros(len(rows), bool)
-        begin = self._spend(pool.ids[rows], begin)
+        begin = self.spend(pool.ids[rows], begin)
         while (inner.ids >= 0).any():
             live = np.flatnonzero(inner.ids >= 0)
             route, found = inner.route()
-            begin = self._spend(inner.ids[live], begin)
+            begin = self.spend(inner.ids[live], begin)
             gone = (found.num[live] == 0) | (
                 (asked[live] >= _MOST_SHORTCUTS) & found.edge_unknown[live].any(axis=1)
             )
@@ -369,14 +333,14 @@ class Run:
             if not len(live):
                 break
             tested = inner.test(found, live, _MOST_SHORTCUTS - asked[live])
-            self._count(inner.ids[live], tested.outcome)
+            self.count(inner.ids[live], tested.outcome)
             asked[live] += tested.outcome.num_edges
-            begin = self._spend(inner.ids[live], begin)
+            begin = self.spend(inner.ids[live], begin)
             left = found.edge_unknown[live] & (tested.edges[live] == UNKNOWN)
             through = live[~tested.outcome.refuted & ~left.any(axis=1)]
             paths = [found.points[row, : found.num[row]] for row in through]
-            certified = self._certify(inner.ids[through], paths)
-            begin = self._spend(inner.ids[through], begin)
+            certified = self.certify(inner.ids[through], paths)
+            begin = self.spend(inner.ids[through], begin)
             for row, good in zip(through, certified, strict=True):
                 tested.edges[row, np.flatnonzero(~good)] = INVALID
                 if good.all():
@@ -405,23 +369,6 @@ class Run:
             inner.enter(part, pool.ids[rows[part]], priced, ())
         jax.block_until_ready(inner.priced)
         return inner
-
-    def _plans(self) -> list[Plan]:
-        return [
-            make_plan(
-                path,
-                f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe}), "
-                f"{self.rounds[i]} rounds; more effort may find one",
-                self.robot.num_dof,
-                edge_checks=int(self.edge_checks[i]),
-                sampling_checks=int(self.sampling_checks[i]),
-                search_checks=int(self.search_checks[i]),
-                planning_time_s=float(self.planning_time[i]),
-                total_time_s=float(self.total_time[i]),
-                roadmaps=max(1, int(self.roadmaps[i])),
-            )
-            for i, path in enumerate(self.paths)
-        ]
 
 
 class _Slots(NamedTuple):

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from gnnjax.guide.guide import RISK_WEIGHT
-from gnnjax.roadmap.graph import GOAL, Roadmap
+from gnnjax.roadmap.graph import Roadmap
 
 # Edge status: what is known of a slot's edge. Of nodes likewise.
 UNKNOWN, VALID, INVALID = 0, 1, 2
@@ -51,36 +50,8 @@ class Knowledge(NamedTuple):
     node_status: Int8[Array, "*batch N"]
 
 
-class Found(NamedTuple):
-    """A path, and what finding it cost."""
-
-    success: Bool[Array, "*batch"]  # there is a path; checked, if it is short enough to be
-    waypoints: Float[Array, "*batch N D"]  # from start to goal; the goal again after the last
-    path: Int[Array, "*batch N"]  # nodes; -1 after the last
-    price: Float[Array, "*batch"]  # nats, of what is not checked; inf without a path
-    edge_checks: Int[Array, "*batch"]
-    configuration_checks: Int[Array, "*batch"]
-    # Where paths are shortened: points spread along the path, see `shorten.py`.
-    points: Float[Array, "*batch V D"] | None = None
-
-
 def nothing_known(roadmap: Roadmap, *, nodes_checked: bool = False) -> Knowledge:
     """What is known of a roadmap in the beginning."""
     num = len(roadmap.nodes)
     status = jnp.zeros(roadmap.neighbors.shape, jnp.int8)
     return Knowledge(status, jnp.full(num, int(nodes_checked), jnp.int8))
-
-
-def found_by(result: SearchResult, roadmap: Roadmap) -> Found:
-    """What a search found, as configurations; of a search that knows no prices, at none."""
-    price = result.path_price
-    if price is None:
-        price = jnp.where(result.success, 0.0, jnp.inf)
-    return Found(
-        success=result.success,
-        waypoints=roadmap.nodes[jnp.where(result.path >= 0, result.path, GOAL)],
-        path=result.path,
-        price=price / RISK_WEIGHT,
-        edge_checks=result.edge_checks,
-        configuration_checks=result.configuration_checks,
-    )

@@ -1,0 +1,87 @@
+"""What was found of a batch of problems, and what it cost."""
+
+import jax
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.sequences import Outcome
+from gnnjax.planning.clock import Clock
+from gnnjax.planning.query import Plan, make_plan, path_length
+from gnnjax.problems.problem import Problem
+
+
+class Progress:
+    """P problems: the shortest certified paths so far, checks, and times."""
+
+    def __init__(self, robot: Robot, problems: Problem):
+        """Args:
+        robot: the arm.
+        problems: `[P, ...]`.
+        """
+        num = len(problems.start)
+        self.robot, self.clock = robot, Clock()
+        self.problems = jax.tree.map(np.asarray, problems)
+        self.paths: list[np.ndarray | None] = [None] * num
+        self.sampling_checks = np.full(num, 2)  # start and goal
+        self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
+        self.planning_time, self.total_time = np.zeros((2, num))
+
+    def spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
+        """Shares out the time since `begin` over those that were worked on; returns the time."""
+        now = self.clock.now()
+        share = (now - begin) / max(1, len(ids))
+        self.total_time[ids] += share
+        if planning:
+            self.planning_time[ids] += share
+        return now
+
+    def count(self, ids: np.ndarray, outcome: Outcome) -> None:
+        """Adds what tests of some problems cost."""
+        self.edge_checks[ids] += outcome.num_edges
+        self.search_checks[ids] += outcome.num_checks
+
+    def certify(self, ids: np.ndarray, paths: list[np.ndarray]) -> list[np.ndarray]:
+        """Keeps paths that are certified and shorter than what there is.
+
+        Returns:
+            Of each path, which of its edges are certified.
+        """
+        if not len(ids):
+            return []
+        steps = np.array([len(path) - 1 for path in paths])
+        scenes = jax.tree.map(lambda x: x[ids], self.problems.scene)
+        certified = certify_edges(
+            self.robot,
+            scenes,
+            np.concatenate([path[:-1] for path in paths]),
+            np.concatenate([path[1:] for path in paths]),
+            np.repeat(np.arange(len(ids)), steps),
+        )
+        found = np.split(certified, np.cumsum(steps)[:-1])
+        for i, path, good in zip(ids, paths, found, strict=True):
+            known = self.paths[i]
+            if good.all() and (known is None or path_length(path) < path_length(known)):
+                self.paths[i] = path
+        return found
+
+    def plans(self, reasons: list[str]) -> list[Plan]:
+        """The answers.
+
+        Args:
+            reasons: why there is no path, of each problem.
+        """
+        return [
+            make_plan(
+                path,
+                reason,
+                self.robot.num_dof,
+                edge_checks=int(self.edge_checks[i]),
+                sampling_checks=int(self.sampling_checks[i]),
+                search_checks=int(self.search_checks[i]),
+                planning_time_s=float(self.planning_time[i]),
+                total_time_s=float(self.total_time[i]),
+                roadmaps=max(1, int(self.roadmaps[i])),
+            )
+            for i, (path, reason) in enumerate(zip(self.paths, reasons, strict=True))
+        ]
