@@ -1,6 +1,7 @@
 """The engine: whoever shares the pool, a problem's plan is its own."""
 
 import dataclasses
+import functools
 
 import jax
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
+from gnnjax.planning.clock import Clock
 from gnnjax.planning.options import make_options
 from gnnjax.planning.planner import make_planner
 from tests.test_guided_planner import check_path, one, random_problem, same
@@ -32,6 +34,29 @@ def problems(planner):
 @pytest.fixture(scope="module")
 def plans(planner, problems):
     return planner.plan_batch(problems)
+
+
+def test_the_clock_stands_still_while_something_is_made_for_the_first_time(monkeypatch):
+    seconds = [0.0]
+    monkeypatch.setattr("time.perf_counter", lambda: seconds[0])
+
+    @functools.cache
+    def slow(x):
+        seconds[0] += 5.0
+        return x
+
+    @jax.jit
+    def compiled(x):
+        seconds[0] += 5.0  # while it is traced
+        return x
+
+    clock = Clock()
+    for call, function in ((clock.remembered, slow), (clock.call, compiled)):
+        for _ in range(2):
+            assert call(function, 3) == 3
+            assert clock.now() == 0.0
+    seconds[0] += 1.0
+    assert clock.now() == 1.0
 
 
 def test_the_field_guides_to_certified_paths(planner, problems, plans):

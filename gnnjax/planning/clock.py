@@ -24,3 +24,11 @@ class Clock:
             jax.block_until_ready(result)
             self._waited += time.perf_counter() - before
         return result
+
+    def remembered(self, function: Any, *args: Any) -> Any:
+        """Calls a function with a cache; what it makes but once takes no time."""
+        before, misses = time.perf_counter(), function.cache_info().misses
+        result = function(*args)
+        if function.cache_info().misses > misses:
+            self._waited += time.perf_counter() - before
+        return result

@@ -140,7 +140,7 @@ class Guided:
         if self.options.sampled:
             key = jax.random.fold_in(jax.random.key(seed), number)
             return clock.call(self._sampled, self.weights, key, problems, straight, count, checker)
-        stored, table, offsets = self._stored(seed, number)
+        stored, table, offsets = clock.remembered(self._stored, seed, number)
         own = (self.weights, stored, table)
         if number == 0:
             return clock.call(self._first, *own, problems, straight, count)
