@@ -45,8 +45,8 @@ guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.families problems.family_problem
 problems.labelled
-planning.options planning.query planning.clock planning.strategy planning.walks
-planning.guided planning.progress planning.pool planning.engine planning.planner
+planning.options planning.query planning.clock planning.progress planning.strategy
+planning.walks planning.guided planning.pool planning.engine planning.planner
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl

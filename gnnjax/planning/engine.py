@@ -88,14 +88,14 @@ class Run(Progress):
         last = min(self.options.max_roadmaps, _ROADMAPS_A_LEVEL * self.options.effort)
         for level in range(0, last, _ROADMAPS_A_LEVEL):
             for number in range(level, min(level + _ROADMAPS_A_LEVEL, last)):
-                ids = self._open(every)
+                ids = self._open()
                 self.roadmaps[ids] += 1
                 self._attempt(ids, np.full(len(ids), number), self.strategy.give_up)
             # No roadmap had a likely path: now the unlikely ones, the least unlikely first.
             for kept in self.kept:
                 kept.sort(key=lambda one: one.price)
             for turn in range(_ROADMAPS_A_LEVEL):
-                ids = self._open(np.array([i for i in every if len(self.kept[i]) > turn], int))
+                ids = np.array([i for i in self._open() if len(self.kept[i]) > turn], int)
                 again = [self.kept[i][turn] for i in ids]
                 numbers = np.array([one.number for one in again], int)
                 # The first roadmap is of another shape.
@@ -132,9 +132,8 @@ class Run(Progress):
             self._judge(pool, np.zeros(1, int), route, host)
         pool.learn(route, *np.zeros((2, *host.path.shape), np.int8))
 
-    def _open(self, ids: np.ndarray) -> np.ndarray:
-        late = self.total_time > self.options.time_limit
-        return np.array([i for i in ids if self.paths[i] is None and not late[i]], int)
+    def _open(self) -> np.ndarray:
+        return np.flatnonzero(self.open(self.options.time_limit))
 
     def _test_straight_lines(self, ids: np.ndarray) -> None:
         """Tests the straight lines from starts to goals."""

@@ -1,5 +1,6 @@
 """Planners: a robot, a strategy, and what was compiled for them."""
 
+import abc
 import functools
 import time
 from collections.abc import Callable
@@ -115,7 +116,7 @@ def _guide(robot: Robot, options: PlannerOptions) -> Guide:
     return motion_guide(robot, load_network_as(MotionNetwork, options.weights, "guided"))
 
 
-class Planner:
+class Planner(abc.ABC):
     """Plans queries for one robot on roadmaps.
 
     Compiles on the first query and keeps the result on disk; `warm_up` does so beforehand.
@@ -158,6 +159,7 @@ class Planner:
         # What checking the query took belongs to it.
         return plan._replace(total_time_s=plan.total_time_s + checking)
 
+    @abc.abstractmethod
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
         """Plans P problems at once; every plan is what `plan` finds for its problem.
 
@@ -168,8 +170,8 @@ class Planner:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of the roadmaps; the same for each problem.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         """Compiles all that planning in scenes like this may need, unless that was done before.
 
@@ -180,7 +182,11 @@ class Planner:
             scene: whose padded number of boxes, and whether one is rotated, are what counts.
             batch_size: problems at once.
         """
-        raise NotImplementedError
+
+    def _at_home(self, scene: Scene, num: int) -> Problem:
+        """Problems of the shape of those to come."""
+        q = np.tile(self.robot.home, (num, 1))
+        return Problem(q, q, jax.tree.map(lambda x: np.broadcast_to(x, (num, *x.shape)), scene))
 
 
 class GuidedPlanner(Planner):
@@ -192,9 +198,7 @@ class GuidedPlanner(Planner):
         return self._run(problems, check_seed(seed), len(problems.start)).run()
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
-        q = np.tile(self.robot.home, (batch_size, 1))
-        scenes = jax.tree.map(lambda x: np.broadcast_to(x, (batch_size, *np.shape(x))), scene)
-        self._run(Problem(q, q, scenes), 0, batch_size).warm_up()
+        self._run(self._at_home(scene, batch_size), 0, batch_size).warm_up()
 
     def _run(self, problems: Problem, seed: int, pool: int) -> Run:
         # One rotated box in the batch, and all are taken for rotated.
@@ -219,9 +223,7 @@ class WalkPlanner(Planner):
         return self._walks(problems, check_seed(seed)).run()
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
-        q = np.tile(self.robot.home, (batch_size, 1))
-        scenes = jax.tree.map(lambda x: np.broadcast_to(x, (batch_size, *np.shape(x))), scene)
-        self._walks(Problem(q, q, scenes), 0).warm_up()
+        self._walks(self._at_home(scene, batch_size), 0).warm_up()
 
     def _walks(self, problems: Problem, seed: int) -> Walks:
         compiled = self._compiled(is_axis_aligned(problems.scene))

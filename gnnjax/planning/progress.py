@@ -27,6 +27,11 @@ class Progress:
         self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
         self.planning_time, self.total_time = np.zeros((2, num))
 
+    def open(self, time_limit: float) -> np.ndarray:
+        """Which problems have no path and time left, `[P]`."""
+        unsolved = np.array([path is None for path in self.paths], bool)
+        return unsolved & (self.total_time <= time_limit)
+
     def spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
         """Shares out the time since `begin` over those that were worked on; returns the time."""
         now = self.clock.now()

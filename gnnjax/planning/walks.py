@@ -13,12 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import EdgeChecks, make_checker
 from gnnjax.devices import over_problems
-from gnnjax.planning.clock import Clock
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.query import Plan, make_plan
+from gnnjax.planning.progress import Progress
+from gnnjax.planning.query import Plan
 from gnnjax.planning.strategy import Checks, Strategy
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import GOAL, Roadmap
@@ -74,8 +73,8 @@ def compile_strategy(
     return Compiled(propose, search)
 
 
-class Walks:
-    """P problems on their way: what was found and what it cost."""
+class Walks(Progress):
+    """P problems on their way."""
 
     def __init__(
         self,
@@ -86,41 +85,37 @@ class Walks:
         problems: Problem,
         seed: int,
     ):
-        self.robot, self.strategy, self.options = robot, strategy, options
-        self.compiled, self.problems, self.seed = compiled, problems, seed
-        self.clock = Clock()
-        num = len(problems.start)
-        self.scenes = jax.tree.map(np.asarray, problems.scene)
-        self.active = np.ones(num, bool)
-        self.paths: list[np.ndarray | None] = [None] * num
-        self.sampling_checks = np.full(num, 2)  # start and goal
-        self.edge_checks, self.search_checks, self.roadmaps = np.zeros((3, num), int)
-        self.planning_time, self.total_time = np.zeros((2, num))
+        """Args:
+        robot: the arm.
+        strategy: how a problem is planned.
+        options: limits.
+        compiled: the strategy's functions.
+        problems: `[P, ...]`, which `check_query` accepts.
+        seed: of the roadmaps.
+        """
+        super().__init__(robot, problems)
+        self.strategy, self.options = strategy, options
+        self.compiled, self.seed = compiled, seed
 
     def run(self) -> list[Plan]:
         """Plans all problems."""
         for number in range(self.options.max_roadmaps):
-            open_ = self._going_on()
+            open_ = self.open(self.options.time_limit)
             if not open_.any():
                 break
             self._work(self._begin(number, open_), open_)
-        return self._plans()
+        return self.plans(
+            [
+                f"no path in the {roadmaps} roadmaps tried ({self.strategy.describe})"
+                for roadmaps in self.roadmaps
+            ]
+        )
 
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
-        nobody = np.zeros(len(self.active), bool)
+        nobody = np.zeros(len(self.paths), bool)
         roadmaps = self._begin(0, nobody)
         self._search(roadmaps, jax.vmap(unknown_edges)(roadmaps), nobody)
-
-    def _going_on(self) -> np.ndarray:
-        """Which problems are still open and have time left, `[P]`."""
-        return self.active & (self.total_time <= self.options.time_limit)
-
-    def _spend(self, rows: np.ndarray, begin: float, *, planning: bool) -> None:
-        taken = np.where(rows, (self.clock.now() - begin) / max(1, rows.sum()), 0)
-        self.total_time += taken
-        if planning:
-            self.planning_time += taken
 
     def _begin(self, number: int, rows: np.ndarray) -> Roadmap:
         """The roadmaps of an attempt."""
@@ -129,7 +124,7 @@ class Walks:
         sampled = jax.block_until_ready(
             self.clock.call(self.compiled.propose, key, self.problems, rows)
         )
-        self._spend(rows, begin, planning=False)
+        self.spend(np.flatnonzero(rows), begin, planning=False)
         self.sampling_checks += np.where(rows, sampled.num_checks, 0)
         self.roadmaps += rows
         return sampled.roadmap
@@ -142,19 +137,17 @@ class Walks:
             found, waypoints = self._search(roadmaps, status, open_)
             status = np.array(found.edge_status)
             open_ &= np.asarray(found.success)
-            for i in np.flatnonzero(open_):
-                walked = np.asarray(found.path)[i]
-                walked = walked[walked >= 0]
-                path = np.asarray(waypoints)[i][: len(walked)]
-                scene = jax.tree.map(lambda x, i=i: x[i], self.scenes)
-                certified = certify_edges(self.robot, scene, path[:-1], path[1:])
-                if certified.all():
-                    self.paths[i], self.active[i], open_[i] = path, False, False
-                for step in np.flatnonzero(~certified):
+            ids = np.flatnonzero(open_)
+            walks = [walk[walk >= 0] for walk in np.asarray(found.path)[ids]]
+            paths = [np.asarray(waypoints)[i][: len(w)] for i, w in zip(ids, walks, strict=True)]
+            certified = self.certify(ids, paths)
+            for i, walked, good in zip(ids, walks, certified, strict=True):
+                open_[i] = not good.all()
+                for step in np.flatnonzero(~good):
                     for near, far in (walked[[step, step + 1]], walked[[step + 1, step]]):
                         slots = np.asarray(roadmaps.neighbors)[i, near] == far
                         status[i, near, slots] = INVALID
-        self._spend(rows, begin, planning=True)
+        self.spend(np.flatnonzero(rows), begin)
 
     def _search(
         self, roadmaps: Roadmap, status: Any, rows: np.ndarray
@@ -172,19 +165,3 @@ class Walks:
         self.edge_checks += np.where(rows, found.edge_checks, 0)
         self.search_checks += np.where(rows, found.configuration_checks, 0)
         return found, waypoints
-
-    def _plans(self) -> list[Plan]:
-        return [
-            make_plan(
-                path,
-                f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe})",
-                self.robot.num_dof,
-                edge_checks=int(self.edge_checks[i]),
-                sampling_checks=int(self.sampling_checks[i]),
-                search_checks=int(self.search_checks[i]),
-                planning_time_s=float(self.planning_time[i]),
-                total_time_s=float(self.total_time[i]),
-                roadmaps=int(self.roadmaps[i]),
-            )
-            for i, path in enumerate(self.paths)
-        ]
