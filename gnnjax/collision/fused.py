@@ -25,7 +25,7 @@ from gnnjax.arm.kinematics import (
 )
 from gnnjax.arm.robot import CAPSULE, Robot, require_round_geoms
 from gnnjax.collision.geometry import segment_box_squared, segment_segment_squared
-from gnnjax.scene.scene import Scene, rotation_matrices
+from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
 
 # Squared distance of a segment to an obstacle, seen from the obstacle.
@@ -124,11 +124,6 @@ def _boxes(scene: Scene, axis_aligned: bool) -> _Boxes:
         rotations = rotation_matrices(scene.quats).swapaxes(-1, -2)
         origins = jnp.sum(rotations * origins[..., None, :], axis=-1)
     return _Boxes(origins, rotations, scene.half_extents, last_box(mask))
-
-
-def last_box(mask: Bool[Array, "*batch M"]) -> Int[Array, ""]:
-    """How many boxes have to be looked at: none after the last that exists in any scene."""
-    return jnp.max(jnp.where(mask, jnp.arange(1, mask.shape[-1] + 1), 0), initial=0)
 
 
 def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:

@@ -32,9 +32,9 @@ from jaxtyping import Array, Bool, Float, Int
 from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
 from gnnjax.arm.robot import CAPSULE, SPHERE, Robot
 from gnnjax.collision.components import in_components
-from gnnjax.collision.fused import FAR, CollisionFunctions, last_box, moved_by_joint
+from gnnjax.collision.fused import FAR, CollisionFunctions, moved_by_joint
 from gnnjax.errors import InputError
-from gnnjax.scene.scene import Scene, rotation_matrices
+from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints when the optional Warp is missing

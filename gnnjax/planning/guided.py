@@ -16,7 +16,7 @@ from gnnjax.planning.clock import Clock
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius
-from gnnjax.roadmap.paths import for_each_edge
+from gnnjax.roadmap.paths import for_each_edge, for_wanted_edges
 from gnnjax.roadmap.sampled import sample_roadmap
 from gnnjax.roadmap.stored import (
     NUM_LOCAL,
@@ -25,7 +25,7 @@ from gnnjax.roadmap.stored import (
     local_offsets,
     stored_roadmap,
 )
-from gnnjax.search.knowledge import UNKNOWN, VALID, Knowledge
+from gnnjax.search.knowledge import UNKNOWN, ends_known
 from gnnjax.search.rounds import Priced
 from gnnjax.search.shorten import PATH_POINTS, shortened, spread_along
 
@@ -36,30 +36,6 @@ JUDGED = 16  # edges of a path that are looked at in a round
 # nats; a roadmap whose best path is less likely to be free than e^-this waits until others were
 # tried.
 GIVE_UP = 4.0
-
-_BLOCK = 256  # motions that are priced at once
-
-
-def price_wanted(price: Any, nodes: jax.Array, near: jax.Array, wanted: jax.Array) -> jax.Array:
-    """Prices of the motions from the first rows of `nodes` to their neighbors, where wanted.
-
-    Args:
-        price: `(starts [B D], ends [B D]) -> [B]`.
-        nodes: `[N D]`.
-        near: `[R K]` neighbors of the first R nodes.
-        wanted: `[R K]`.
-    """
-    num = wanted.size
-    (slots,) = jnp.nonzero(wanted.ravel(), size=num + _BLOCK, fill_value=num)
-
-    def ask(i: jax.Array, values: jax.Array) -> jax.Array:
-        slot = jax.lax.dynamic_slice_in_dim(slots, i * _BLOCK, _BLOCK)
-        ends = nodes[near.ravel()[slot]]
-        return values.at[slot].set(price(nodes[slot // near.shape[1]], ends), mode="drop")
-
-    blocks = (wanted.sum() + _BLOCK - 1) // _BLOCK
-    return jax.lax.fori_loop(0, blocks, ask, jnp.zeros(num)).reshape(wanted.shape)
-
 
 _local_offsets = jax.jit(local_offsets, static_argnums=1)
 _WIDE_NODES = (400, 600)
@@ -175,10 +151,8 @@ class Guided:
             return sampled.roadmap, price, reading, sampled.num_checks
 
         roadmaps, price, readings, checks = map_first(one, num, problems)
-        priced = self._priced(roadmaps, price, straight, judged=True)
-        nodes = jnp.full(priced.known.node_status.shape, VALID, jnp.int8)
-        known = priced.known._replace(node_status=nodes)
-        return Entered(priced._replace(known=known), readings, checks)
+        priced = self._priced(roadmaps, price, straight, judged=True, nodes_checked=True)
+        return Entered(priced, readings, checks)
 
     @functools.partial(jax.jit, static_argnums=0)
     def _first(self, weights, stored, table, problems: Problem, straight, num) -> Entered:
@@ -248,8 +222,8 @@ class Guided:
             near = roadmap.neighbors[:num_special]
             own = jnp.arange(num_special)[:, None]
             wanted = roadmap.neighbor_mask[:num_special] & (own < near)
-            found = price_wanted(
-                lambda a, b: prices.motions(a, b, LOCAL_PIECES), roadmap.nodes, near, wanted
+            found = for_wanted_edges(
+                roadmap.nodes, near, wanted, lambda a, b: prices.motions(a, b, LOCAL_PIECES)
             )
             whole = jnp.zeros((num_special, len(roadmap.nodes))).at[own, near].max(found)
             both = whole.at[:, :num_special].max(whole[:, :num_special].T)
@@ -268,22 +242,23 @@ class Guided:
         return Entered(priced, readings, jnp.zeros(len(price), jnp.int32))
 
     def _priced(
-        self, roadmaps: Roadmap, price: jax.Array, straight: jax.Array, judged: bool
+        self,
+        roadmaps: Roadmap,
+        price: jax.Array,
+        straight: jax.Array,
+        *,
+        judged: bool,
+        nodes_checked: bool = False,
     ) -> Priced:
-        status = jnp.zeros(roadmaps.neighbors.shape, jnp.int8)
+        known = jax.vmap(functools.partial(ends_known, nodes_checked=nodes_checked))(roadmaps)
         is_straight = jnp.stack(
             [roadmaps.neighbors[:, START] == GOAL, roadmaps.neighbors[:, GOAL] == START], axis=1
         )
-        status = status.at[:, : GOAL + 1].set(
+        status = known.status.at[:, : GOAL + 1].set(
             jnp.where(is_straight, straight[:, None, None].astype(jnp.int8), UNKNOWN)
         )
-        node_status = jnp.zeros(roadmaps.node_mask.shape, jnp.int8).at[:, : GOAL + 1].set(VALID)
-        return Priced(
-            roadmaps,
-            RISK_WEIGHT * price,
-            jnp.full(price.shape, judged),
-            Knowledge(status, node_status),
-        )
+        judged_edges = jnp.full(price.shape, judged)
+        return Priced(roadmaps, RISK_WEIGHT * price, judged_edges, known._replace(status=status))
 
     @functools.partial(jax.jit, static_argnums=0)
     def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
@@ -307,8 +282,6 @@ class Guided:
                 spread_along(line, PATH_POINTS),
                 lambda a, b: RISK_WEIGHT * motions(a, b, SHORTCUT_PIECES),
             )
-            nodes = jnp.zeros(PATH_POINTS, jnp.int8).at[: GOAL + 1].set(VALID)
-            known = Knowledge(jnp.zeros(price.shape, jnp.int8), nodes)
-            return Priced(roadmap, price, jnp.ones(price.shape, bool), known)
+            return Priced(roadmap, price, jnp.ones(price.shape, bool), ends_known(roadmap))
 
         return map_first(one, num, (readings, lines))

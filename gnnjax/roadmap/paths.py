@@ -72,22 +72,39 @@ def for_each_edge(
         value: `(starts [B D], ends [B D]) -> [B]`.
         block: B, edges at once.
     """
-    num, num_slots = roadmap.neighbors.shape
-    once = roadmap.neighbor_mask & (jnp.arange(num)[:, None] < roadmap.neighbors)
-    (slots,) = jnp.nonzero(once.ravel(), size=num * num_slots // 2 + block, fill_value=-1)
-    reverse, neighbors = reverse_slots(roadmap).ravel(), roadmap.neighbors.ravel()
-    outside = num * num_slots  # dropped
+    once = roadmap.neighbor_mask & (jnp.arange(len(roadmap.nodes))[:, None] < roadmap.neighbors)
+    values = for_wanted_edges(roadmap.nodes, roadmap.neighbors, once, value, block).ravel()
+    other_way = jnp.where(once, reverse_slots(roadmap), once.size).ravel()  # beyond: dropped
+    return values.at[other_way].set(values, mode="drop").reshape(once.shape)
+
+
+def for_wanted_edges(
+    nodes: Float[Array, "N D"],
+    neighbors: Int[Array, "R K"],
+    wanted: Bool[Array, "R K"],
+    value: Callable[[jax.Array, jax.Array], jax.Array],
+    block: int = 256,
+) -> Float[Array, "R K"]:
+    """A value of some edges of the first R nodes; zero elsewhere.
+
+    Args:
+        nodes: configurations.
+        neighbors: node in each slot of the first R.
+        wanted: which of the slots count.
+        value: `(starts [B D], ends [B D]) -> [B]`.
+        block: B, edges at once.
+    """
+    num, num_slots = wanted.size, wanted.shape[1]
+    (slots,) = jnp.nonzero(wanted.ravel(), size=num + block, fill_value=num)
+    far = neighbors.ravel()
 
     def ask(i: jax.Array, values: jax.Array) -> jax.Array:
         slot = jax.lax.dynamic_slice_in_dim(slots, i * block, block)
-        found = value(roadmap.nodes[slot // num_slots], roadmap.nodes[neighbors[slot]])
-        for way in (slot, reverse[slot]):
-            values = values.at[jnp.where(slot >= 0, way, outside)].set(found, mode="drop")
-        return values
+        found = value(nodes[slot // num_slots], nodes[far[slot]])
+        return values.at[slot].set(found, mode="drop")
 
-    blocks = (once.sum() + block - 1) // block
-    values = jax.lax.fori_loop(0, blocks, ask, jnp.zeros(num * num_slots))
-    return values.reshape(num, num_slots)
+    blocks = (wanted.sum() + block - 1) // block
+    return jax.lax.fori_loop(0, blocks, ask, jnp.zeros(num)).reshape(wanted.shape)
 
 
 def cost_to_go(

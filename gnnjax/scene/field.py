@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from gnnjax.arm.kinematics import Scalar, Vector
-from gnnjax.scene.scene import Scene, rotation_matrices
+from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
 
 _FAR = 10.0  # m; what a scene without obstacles is away from everything
@@ -74,9 +74,8 @@ def distance_field(grid: Grid) -> Callable[[Scene], Float[Array, " V"]]:
             away = _DISTANCE["box"](seen, list(scene.half_extents[i]))
             return jnp.where(scene.mask[i] & (away < nearest), away, nearest)
 
-        last = jnp.max(jnp.where(scene.mask, jnp.arange(1, len(scene.mask) + 1), 0), initial=0)
-        nearest = jax.lax.fori_loop(0, last, nearer, jnp.full(grid.shape, _FAR, jnp.float32))
-        return nearest.ravel()
+        far = jnp.full(grid.shape, _FAR, jnp.float32)
+        return jax.lax.fori_loop(0, last_box(scene.mask), nearer, far).ravel()
 
     return field
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
@@ -167,6 +167,11 @@ def is_axis_aligned(scene: Scene) -> bool:
     quats = np.asarray(scene.quats)[np.asarray(scene.mask)]
     # Not by w, which float32 rounds to 1 for rotations of nearly 1 mrad.
     return bool((np.abs(quats[:, 1:]) < 1e-7).all())
+
+
+def last_box(mask: Bool[Array, "*batch M"]) -> Int[Array, ""]:
+    """How many boxes have to be looked at: none after the last that exists in any scene."""
+    return jnp.max(jnp.where(mask, jnp.arange(1, mask.shape[-1] + 1), 0), initial=0)
 
 
 def rotation_matrices(quats: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:

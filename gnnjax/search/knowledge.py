@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from gnnjax.roadmap.graph import Roadmap
+from gnnjax.roadmap.graph import GOAL, START, Roadmap
 
 # Edge status: what is known of a slot's edge. Of nodes likewise.
 UNKNOWN, VALID, INVALID = 0, 1, 2
@@ -55,3 +55,9 @@ def nothing_known(roadmap: Roadmap, *, nodes_checked: bool = False) -> Knowledge
     num = len(roadmap.nodes)
     status = jnp.zeros(roadmap.neighbors.shape, jnp.int8)
     return Knowledge(status, jnp.full(num, int(nodes_checked), jnp.int8))
+
+
+def ends_known(roadmap: Roadmap, *, nodes_checked: bool = False) -> Knowledge:
+    """`nothing_known`, but for start and goal, which a query that is planned has valid."""
+    known = nothing_known(roadmap, nodes_checked=nodes_checked)
+    return known._replace(node_status=known.node_status.at[jnp.array([START, GOAL])].set(VALID))
