@@ -19,12 +19,13 @@ from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.guide.guide import RISK_WEIGHT
 from gnnjax.planning.guided import JUDGED, Guided
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.pool import Pool, size_for, sizes_up_to, take
+from gnnjax.planning.pool import Pool, in_chunks, size_for, sizes_up_to, take
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import Plan
+from gnnjax.planning.shortening import Shortener
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene
-from gnnjax.search.knowledge import INVALID, UNKNOWN, Knowledge
+from gnnjax.search.knowledge import INVALID, Knowledge
 from gnnjax.search.rounds import Route
 
 # Problems whose roadmaps are made or shortened at once; the first for lone queries. No array has
@@ -36,7 +37,6 @@ _STRAIGHT = 1024  # straight lines that are tested at once
 # Roadmaps that are tried in the hope of a likely path before unlikely ones are tested, and rounds
 # of a roadmap, at effort 1.
 _ROADMAPS_A_LEVEL, _MOST_ROUNDS = 4, 25
-_MOST_SHORTCUTS = 8  # edges; what needs more is hardly ever free
 
 
 @dataclasses.dataclass
@@ -75,6 +75,7 @@ class Run(Progress):
         self.tester, self.seed, self.pool = tester, seed, pool
         self.chunk = _CHUNKS[pool > 1]
         self.scenes = scenes_on_device(self.problems.scene)
+        self.shortener = Shortener(self, strategy, tester, self.scenes, self.chunk)
         num = len(self.paths)
         self.straight = np.zeros(num, np.int8)  # status of the straight line
         self.kept: list[list[Kept]] = [[] for _ in range(num)]
@@ -124,7 +125,7 @@ class Run(Progress):
                 self._go_through(pool)
                 if self.strategy.shorten and number == 0:
                     rows = np.zeros(size, int)
-                    self._go_through(self._shortcuts(pool, rows, pool.route()[1]))
+                    self._go_through(self.shortener.shortcuts(pool, rows, pool.route()[1]))
 
     def _go_through(self, pool: Pool) -> None:
         route, host = pool.route()
@@ -168,7 +169,6 @@ class Run(Progress):
             return
         most = self.strategy.most_slots(int(numbers[0]))
         pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock, self.tester, self.scenes)
-        # Paths are not checked as they are, but shortened first, unless that has failed.
         slots = _Slots(*np.zeros((3, pool.size), int))
         waiting = 0
         while waiting < len(ids) or (pool.ids >= 0).any():
@@ -198,10 +198,8 @@ class Run(Progress):
         number: int,
         known: list[Knowledge] | None,
     ) -> None:
-        for first in range(0, len(entering), self.chunk):
-            part = slice(first, first + self.chunk)
-            chosen = entering[part]
-            padded = np.resize(chosen, self.chunk)
+        for part, padded in in_chunks(np.arange(len(entering)), self.chunk):
+            chosen, padded = entering[part], entering[padded]
             problems = jax.tree.map(lambda x, at=ids[padded]: x[at], self.problems)
             entered = self.strategy.enter(
                 self.clock,
@@ -238,7 +236,7 @@ class Run(Progress):
         rows, testing = live[to_shorten], live[~to_shorten]
         if len(rows):
             slots.first_look[rows] = 0
-            pool.ids[rows[self._shorten(pool, rows, host)]] = -1
+            pool.ids[rows[self.shortener.shorten(pool, rows, host)]] = -1
         if len(testing):
             self._test(pool, testing, route, host)
 
@@ -270,9 +268,7 @@ class Run(Progress):
             steps[row, : len(found)] = found
         price = np.zeros(steps.shape, np.float32)
         last = host.points.shape[1] - 1
-        for first in range(0, len(rows), self.chunk):
-            part = rows[first : first + self.chunk]
-            padded = np.resize(part, self.chunk)
+        for part, padded in in_chunks(rows, self.chunk):
             at = padded[:, None], np.maximum(steps[padded], 0)
             starts, ends = host.points[at], host.points[at[0], np.minimum(at[1] + 1, last)]
             readings = self.clock.call(take, pool.reading, padded)
@@ -293,15 +289,11 @@ class Run(Progress):
         tested = pool.test(host, rows)
         self.count(pool.ids[rows], tested.outcome)
         through = rows[~tested.outcome.refuted]
-        paths = [host.points[row, : host.num[row]] for row in through]
-        certified = self.certify(pool.ids[through], paths)
+        through = through[self.certify_routes(pool.ids[through], through, host, tested.edges)]
         begin = self.spend(pool.ids[rows], begin)
-        for row, good in zip(through, certified, strict=True):
-            tested.edges[row, np.flatnonzero(~good)] = INVALID
-        through = through[[bool(good.all()) for good in certified]]
         longer = through[host.num[through] > 2]
         if len(longer) and self.strategy.shorten:
-            self._shorten(pool, longer, host)
+            self.shortener.shorten(pool, longer, host)
             begin = self.clock.now()
         pool.ids[through] = -1
         left = rows[pool.ids[rows] >= 0]
@@ -309,73 +301,14 @@ class Run(Progress):
             pool.learn(route, tested.nodes, tested.edges)
             self.spend(pool.ids[left], begin)
 
-    def _shorten(self, pool: Pool, rows: np.ndarray, host: Route) -> np.ndarray:
-        """Shortens paths in the guide's eyes, checks them, and keeps what is certified and shorter.
-
-        Returns:
-            Of each row, whether a path was kept.
-        """
-        begin = self.clock.now()
-        inner = self._shortcuts(pool, rows, host)
-        num = inner.size
-        asked, own, kept = np.zeros(num, int), np.arange(num), np.zeros(len(rows), bool)
-        begin = self.spend(pool.ids[rows], begin)
-        while (inner.ids >= 0).any():
-            live = np.flatnonzero(inner.ids >= 0)
-            route, found = inner.route()
-            begin = self.spend(inner.ids[live], begin)
-            gone = (found.num[live] == 0) | (
-                (asked[live] >= _MOST_SHORTCUTS) & found.edge_unknown[live].any(axis=1)
-            )
-            inner.ids[live[gone]] = -1
-            live = live[~gone]
-            if not len(live):
-                break
-            tested = inner.test(found, live, _MOST_SHORTCUTS - asked[live])
-            self.count(inner.ids[live], tested.outcome)
-            asked[live] += tested.outcome.num_edges
-            begin = self.spend(inner.ids[live], begin)
-            left = found.edge_unknown[live] & (tested.edges[live] == UNKNOWN)
-            through = live[~tested.outcome.refuted & ~left.any(axis=1)]
-            paths = [found.points[row, : found.num[row]] for row in through]
-            certified = self.certify(inner.ids[through], paths)
-            begin = self.spend(inner.ids[through], begin)
-            for row, good in zip(through, certified, strict=True):
-                tested.edges[row, np.flatnonzero(~good)] = INVALID
-                if good.all():
-                    kept[own[row]], inner.ids[row] = True, -1
-            if (inner.ids >= 0).any():
-                inner.learn(route, tested.nodes, tested.edges)
-                if inner.is_wide():
-                    left = inner.shrink()
-                    asked, own = asked[left], own[left]
-        return kept
-
-    def _shortcuts(self, pool: Pool, rows: np.ndarray, host: Route) -> Pool:
-        """The path roadmaps of the paths of some slots, in a pool of their own."""
-        inner = Pool(size_for(len(rows)), self.clock, self.tester, self.scenes)
-        for first in range(0, len(rows), self.chunk):
-            part = np.arange(first, min(first + self.chunk, len(rows)))
-            padded = rows[np.resize(part, self.chunk)]
-            readings = self.clock.call(take, pool.reading, padded)
-            priced = self.clock.call(
-                self.strategy.shortcuts,
-                self.strategy.weights,
-                readings,
-                host.points[padded],
-                np.int32(len(part)),
-            )
-            inner.enter(part, pool.ids[rows[part]], priced, ())
-        jax.block_until_ready(inner.priced)
-        return inner
-
 
 class _Slots(NamedTuple):
     """What the host knows of the slots of a pool."""
 
     number: np.ndarray  # [S] of the roadmap
     rounds: np.ndarray  # [S]
-    first_look: np.ndarray  # [S] 1 where the path has not been shortened yet
+    # [S] 1 until a path was shortened: no path is checked as it is before that has failed.
+    first_look: np.ndarray
 
 
 def scenes_on_device(scenes: Scene) -> Scene:

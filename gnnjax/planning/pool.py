@@ -1,5 +1,6 @@
 """A pool of slots, each with a roadmap under lazy search."""
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +24,13 @@ def size_for(num: int) -> int:
 def sizes_up_to(num: int) -> tuple[int, ...]:
     """The sizes that pools for up to `num` problems may have."""
     return tuple(size for size in _SIZES if size <= size_for(num))
+
+
+def in_chunks(rows: np.ndarray, size: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Rows, `size` at a time; and the same, repeated until there are `size`."""
+    for first in range(0, len(rows), size):
+        part = rows[first : first + size]
+        yield part, np.resize(part, size)
 
 
 _cheapest_routes = jax.jit(cheapest_routes)

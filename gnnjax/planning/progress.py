@@ -9,6 +9,8 @@ from gnnjax.collision.sequences import Outcome
 from gnnjax.planning.clock import Clock
 from gnnjax.planning.query import Plan, make_plan, path_length
 from gnnjax.problems.problem import Problem
+from gnnjax.search.knowledge import INVALID
+from gnnjax.search.rounds import Route
 
 
 class Progress:
@@ -69,6 +71,25 @@ class Progress:
             if good.all() and (known is None or path_length(path) < path_length(known)):
                 self.paths[i] = path
         return found
+
+    def certify_routes(
+        self, ids: np.ndarray, rows: np.ndarray, routes: Route, edges: np.ndarray
+    ) -> np.ndarray:
+        """`certify` for the routes of some slots of a pool.
+
+        Args:
+            ids: problems.
+            rows: their slots.
+            routes: of all slots.
+            edges: `[S N]` what is known of their steps; those not certified become INVALID.
+
+        Returns:
+            Of each problem, whether its path is certified.
+        """
+        certified = self.certify(ids, [routes.points[row, : routes.num[row]] for row in rows])
+        for row, good in zip(rows, certified, strict=True):
+            edges[row, np.flatnonzero(~good)] = INVALID
+        return np.array([good.all() for good in certified], bool)
 
     def plans(self, reasons: list[str]) -> list[Plan]:
         """The answers.
