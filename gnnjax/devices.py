@@ -60,11 +60,13 @@ def map_first(function: Callable, num: jax.Array | int, args: Any) -> Any:
     """
     if jax.default_backend() != "cpu":
         return jax.vmap(function)(args)
-    blank = jax.eval_shape(jax.vmap(function), args)
+    function = jax.jit(function, inline=True)  # traced once for both uses
+    size = len(jax.tree.leaves(args)[0])
+    blank = jax.eval_shape(function, jax.tree.map(lambda x: x[0], args))
 
     def one(i: jax.Array, results: Any) -> Any:
         result = function(jax.tree.map(lambda x: x[i], args))
         return jax.tree.map(lambda x, y: x.at[i].set(y), results, result)
 
-    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), blank)
+    zeros = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), blank)
     return jax.lax.fori_loop(0, num, one, zeros)

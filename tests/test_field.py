@@ -14,6 +14,7 @@ from gnnjax.collision.fused import moved_by_joint
 from gnnjax.guide.field import (
     CALIBRATION,
     SPACING,
+    _largest_in_cells,
     _spheres,
     field_guide,
     margin_function,
@@ -284,6 +285,23 @@ def test_stored_prices_are_those_of_the_places_along_each_edge(
         assert (found >= softplus(most + 1e-6) * (1 - 1e-4) - 1e-6).all()
         assert (least == most).mean() > 0.95
     assert np.ptp(prices[1]) > 5
+
+
+def test_a_table_has_each_cell_of_an_edge_once_with_the_largest_radius_there():
+    rng = np.random.default_rng(9)
+    seen, radii = rng.integers(0, 9, (40, 5, 3)), np.array([0.2, 0.1, 0.3, 0.1, 0.2])
+    seen[0] = 4  # all in one cell
+    cells, largest = _largest_in_cells(seen.astype(np.int32), radii)
+    plain = []
+    for places in seen:
+        best = {}
+        for cell, radius in zip(places.ravel(), np.repeat(radii, 3), strict=True):
+            best[cell] = max(radius, best.get(cell, 0.0))
+        plain.append(sorted(best.items()))
+    assert cells.shape[1] == max(map(len, plain))
+    for row, (found, radius) in enumerate(zip(cells, largest, strict=True)):
+        repeated = [plain[row][i % len(plain[row])] for i in range(cells.shape[1])]
+        assert list(zip(found, radius, strict=True)) == [(c, np.float32(r)) for c, r in repeated]
 
 
 def test_stored_prices_do_not_depend_on_the_batch(guide, table, readings, prices):

@@ -17,6 +17,7 @@ from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.paper.strategy import gnn
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
+from gnnjax.planning import planner as planners
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import load_planner
 from gnnjax.scene.scene import make_scene
@@ -47,6 +48,15 @@ def test_every_method_plans_certified_paths(tiny_path, method):
         assert plan.configuration_checks == plan.sampling_checks + plan.search_checks
         assert plan.sampling_checks >= 2 + 58
     assert solved >= 5
+
+
+def test_compiled_code_is_kept_before_a_guide_compiles(tiny_path, monkeypatch):
+    called = []
+    monkeypatch.setattr(planners, "cache_compilations", lambda: called.append("cache"))
+    guide = planners.field_guide
+    monkeypatch.setattr(planners, "field_guide", lambda r: called.append("guide") or guide(r))
+    load_planner(tiny_path)
+    assert called == ["cache", "guide"]
 
 
 def test_the_same_seed_gives_the_same_plan(tiny_path):

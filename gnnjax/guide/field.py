@@ -6,6 +6,7 @@ ones better than the motion network does, at a fraction of the work and without 
 """
 
 import functools
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ SPACING = 0.35  # rad (or m) between the places of a motion that are looked at
 CALIBRATION = (0.01, 0.012)
 _SPHERES_A_PASS = 8
 _BLOCK = 256  # places that are looked at at once
+_PLACES = 4096  # configurations whose spheres are placed at once, for grids and tables
 
 
 class _Spheres(NamedTuple):
@@ -56,20 +58,31 @@ def _spheres(robot: Robot) -> _Spheres:
 
 def reach_grid(robot: Robot, cells: int = CELLS) -> Grid:
     """A grid over what the centres of the arm's spheres reach, seen at random configurations."""
-    spheres = _spheres(robot)
     rng = np.random.default_rng(0)
-    q = rng.uniform(robot.joint_lower, robot.joint_upper, (4096, robot.num_dof)).astype(np.float32)
-    centers = np.asarray(jax.jit(lambda q: jnp.stack(_centers(robot, spheres, q)))(q))  # [S 3 B]
+    q = rng.uniform(robot.joint_lower, robot.joint_upper, (_PLACES, robot.num_dof))
+    centers = np.asarray(_compiled_centers(robot)(q.astype(np.float32)))
     return make_grid(centers.min((0, 2)), centers.max((0, 2)), cells)
 
 
-def _centers(robot: Robot, spheres: _Spheres, q: jax.Array) -> list[jax.Array]:
-    frames = body_frames(robot, joint_terms(robot, q))
-    full = q.shape[:-1]
-    return [
-        jnp.stack([jnp.broadcast_to(x, full) for x in transform(*frames[body], center.tolist())])
-        for body, center in zip(spheres.bodies, spheres.centers, strict=True)
-    ]
+@functools.lru_cache(maxsize=8)
+def _compiled_centers(robot: Robot) -> Callable[[np.ndarray], jax.Array]:
+    """Makes the function `q [_PLACES D] -> [S 3 _PLACES]`: centres of the arm's spheres, m."""
+    spheres = _spheres(robot)
+
+    def centers(q: jax.Array) -> jax.Array:
+        frames = body_frames(robot, joint_terms(robot, q))
+        points = zip(spheres.bodies, spheres.centers.tolist(), strict=True)
+        return jnp.stack(
+            [jnp.broadcast_to(x, len(q)) for b, c in points for x in transform(*frames[b], c)]
+        ).reshape(-1, 3, len(q))
+
+    return jax.jit(centers)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _cells_of(grid: Grid, centers: jax.Array) -> jax.Array:
+    """The cells `[S B]` of points `[S 3 B]`."""
+    return cell_of(grid, list(jnp.moveaxis(centers, 1, 0)))
 
 
 def margin_function(robot: Robot, grid: Grid) -> Callable[[jax.Array, jax.Array], jax.Array]:
@@ -96,7 +109,7 @@ def margin_function(robot: Robot, grid: Grid) -> Callable[[jax.Array, jax.Array]
             smallest = jax.lax.fori_loop(0, 1, look, smallest)
         return smallest
 
-    return margin
+    return jax.jit(margin, inline=True)  # traced once for all that look at as many places
 
 
 class EdgeTable(NamedTuple):
@@ -121,29 +134,39 @@ def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
     number[first, second] = number[second, first] = np.arange(len(first))
     longest = np.linalg.norm(nodes[second] - nodes[first], axis=1).max(initial=0.0)
     fraction = np.linspace(0, 1, int(np.ceil(longest / SPACING)) + 1, dtype=np.float32)[:, None]
-    rows = []
-    visit = jax.jit(
-        lambda q: jnp.stack([cell_of(grid, list(c)) for c in _centers(robot, spheres, q)])
-    )
     ends = nodes[first][:, None], nodes[second][:, None]
-    places = ends[0] + fraction * (ends[1] - ends[0])  # [E F D]
-    seen = np.asarray(visit(jnp.asarray(places.reshape(-1, nodes.shape[1]))))  # [S EF]
-    shape = len(spheres.radii), len(first), len(fraction)
-    seen = np.moveaxis(seen.reshape(shape), 1, 0)  # [E S F]
-    radii = np.broadcast_to(spheres.radii[:, None], seen.shape[1:]).ravel()
-    descending = np.argsort(-radii, kind="stable")
-    for row in seen.reshape(len(first), radii.size):
-        cells, at = np.unique(row[descending], return_index=True)
-        rows.append((cells, radii[descending][at]))
-    width = max((len(cells) for cells, _ in rows), default=1)
-    table = EdgeTable(
-        np.zeros((len(rows), width), np.int32),
-        np.zeros((len(rows), width), np.float32),
-        np.where(roadmap.neighbor_mask, number[own, neighbors], len(rows)).astype(np.int32),
-    )
-    for i, (cells, r) in enumerate(rows):
-        table.cells[i], table.radii[i] = np.resize(cells, width), np.resize(r, width)
-    return jax.tree.map(jnp.asarray, table)
+    places = (ends[0] + fraction * (ends[1] - ends[0])).reshape(-1, nodes.shape[1])  # [EF D]
+    # In blocks of one shape, which is compiled once for all roadmaps.
+    padded = np.pad(places, ((0, -len(places) % _PLACES), (0, 0)))
+    seen = np.zeros((len(spheres.radii), len(padded)), np.int32)  # [S EF]
+    for at in range(0, len(padded), _PLACES):
+        block = slice(at, at + _PLACES)
+        seen[:, block] = _cells_of(grid, _compiled_centers(robot)(padded[block]))
+    seen = seen[:, : len(places)].reshape(len(seen), len(first), len(fraction))
+    cells, radii = _largest_in_cells(np.moveaxis(seen, 1, 0), spheres.radii)
+    edge = np.where(roadmap.neighbor_mask, number[own, neighbors], len(first)).astype(np.int32)
+    return jax.tree.map(jnp.asarray, EdgeTable(cells, radii, edge))
+
+
+def _largest_in_cells(seen: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The distinct cells of each edge, `[E W]` and from the first on again where an edge has
+    fewer, with the largest radius there, `[E W]`.
+
+    Args:
+        seen: `[E S F]` cells that spheres are in.
+        radii: `[S]` m.
+    """
+    distinct, level = np.unique(-radii, return_inverse=True)  # the largest first
+    keys = seen * np.int32(len(distinct)) + level[:, None].astype(np.int32)
+    keys = np.sort(keys.reshape(len(seen), math.prod(seen.shape[1:])), axis=1)
+    cells = keys // np.int32(len(distinct))
+    is_first = np.diff(cells, axis=1, prepend=-1) > 0
+    count = is_first.sum(axis=1)
+    width = int(count.max(initial=1))
+    begin = np.cumsum(count) - count
+    at = begin[:, None] + np.arange(width) % np.maximum(count, 1)[:, None]
+    kept = keys[is_first][at]
+    return kept // len(distinct), -distinct[kept % len(distinct)].astype(np.float32)
 
 
 def field_guide(robot: Robot, cells: int = CELLS) -> Guide:

@@ -82,6 +82,7 @@ def make_planner(
 ) -> QueryPlanner:
     """The planner that options name; see `load_planner`."""
     check_options(options)
+    cache_compilations()  # before a guide compiles
     name = options.planner
     if guide is not None and name != "guided":
         raise InputError(f"a guide with planner {name!r}; only planner 'guided' takes one")
@@ -129,7 +130,6 @@ class Planner(abc.ABC):
         options: limits.
         """
         check_options(options)
-        cache_compilations()
         self.robot, self.strategy, self.options = robot, strategy, options
         self.use_weights(strategy.weights)
 

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.collision.sequences import Items, Outcome, SequenceTester
@@ -134,7 +133,7 @@ class Pool:
         at = np.full(num, self.size)
         at[: len(rows)] = rows
         if self.priced is None:
-            blank = jax.tree.map(lambda x: jnp.zeros((self.size, *x.shape[1:]), x.dtype), entered)
+            blank = jax.tree.map(lambda x: np.zeros((self.size, *x.shape[1:]), x.dtype), entered)
             self.priced, self.reading = blank
         pool = self.priced, self.reading
         self.priced, self.reading = self.clock.call(_place_in, pool, entered, at)

@@ -63,10 +63,15 @@ def radius_for_degree(robot: Robot, num_nodes: int, mean_degree: float) -> float
     which takes the boundary into account; in seven dimensions most nodes are near it, and the
     volume of a ball would give a degree several times too large.
     """
+    share = min(1.0, mean_degree / max(1, num_nodes - 1))
+    return float(np.quantile(_pair_distances(robot), share))
+
+
+@functools.lru_cache(maxsize=2)  # of 4 MB each
+def _pair_distances(robot: Robot) -> np.ndarray:
     generator = np.random.default_rng(0)
     pairs = generator.random((2, 500_000, robot.num_dof)) * robot.joint_range
-    distances = np.linalg.norm(pairs[0] - pairs[1], axis=1)
-    return float(np.quantile(distances, min(1.0, mean_degree / max(1, num_nodes - 1))))
+    return np.linalg.norm(pairs[0] - pairs[1], axis=1)
 
 
 def default_radius(robot: Robot, num_nodes: int) -> float:
