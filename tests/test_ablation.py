@@ -2,11 +2,17 @@
 
 import json
 
+import jax
+import numpy as np
+from flax import nnx
+
 from experiments.ablation import EXPERIMENT
 from experiments.record import run
 from experiments.variants import AblationConfig, command, training, variants
+from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.planning.planner import load_planner
-from gnnjax.train import PRESETS
+from gnnjax.train import PRESETS, train
+from gnnjax.training.weights import save_network
 
 
 def test_variants_share_the_budget_of_theirtraining():
@@ -49,7 +55,26 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
         return planner
 
     monkeypatch.setattr("experiments.measure.make_planner", make_planner)
+    trainings = []
+
+    def train_the_first(made):
+        """Training, also of networks that lack a part, has tests of its own."""
+        trainings.append(made.without)
+        if not made.without:
+            return train(made)
+        names = ("num_dof", "channels", "geometric_features", "workspace_points", "without")
+        options = {name: getattr(made, name) for name in names}
+        network = nnx.eval_shape(
+            lambda: GuidanceNetwork(**options, validity_head=True, rngs=nnx.Rngs(0))
+        )
+        zeros = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), nnx.state(network, nnx.Param))
+        nnx.update(network, zeros)
+        save_network(made.out / "weights.safetensors", network, {"log": [{}]})
+        return made.out / "weights.safetensors"
+
+    monkeypatch.setattr("experiments.variants.train", train_the_first)
     run(EXPERIMENT, config)
+    assert trainings == [(), ("gat",)]
     assert [options.planner for options in asked] == ["gnn", "gnn", "distance"]
     assert len({options.weights for options in asked}) == 3
     assert all((o.num_nodes, o.max_roadmaps) == (30, 1) for o in asked)

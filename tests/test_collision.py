@@ -188,11 +188,11 @@ def test_a_resolution_whose_table_of_points_would_overflow_is_refused(tiny):
 def test_clearance_shapes(tiny, tiny_checker):
     scene = random_scene(np.random.default_rng(3), 3, rotated=True)
     q = random_configurations(np.random.default_rng(3), tiny, 6)
-    flat = tiny_checker.clearance(scene, q)
+    clearance = jax.jit(tiny_checker.clearance)
+    flat = np.asarray(clearance(scene, q))
     assert flat.shape == (6,)
-    grid = tiny_checker.clearance(scene, q.reshape(2, 3, -1))
-    np.testing.assert_allclose(grid, flat.reshape(2, 3), atol=1e-6)
-    np.testing.assert_allclose(tiny_checker.clearance(scene, q[0]), flat[0], atol=1e-6)
+    np.testing.assert_allclose(clearance(scene, q.reshape(2, 3, -1)), flat.reshape(2, 3), atol=1e-6)
+    np.testing.assert_allclose(clearance(scene, q[0]), flat[0], atol=1e-6)
 
 
 def test_moved_box_is_hit(tiny):
@@ -251,7 +251,8 @@ def test_edges_match_plain_loop(tiny, tiny_edges):
     starts = random_configurations(rng, tiny, 200)
     ends = random_configurations(rng, tiny, 200)
     # Long and short edges.
-    ends = starts + (ends - starts) * jnp.linspace(0.02, 1, 200)[:, None]
+    starts, ends = np.asarray(starts), np.asarray(ends)
+    ends = starts + (ends - starts) * np.linspace(0.02, 1, 200, dtype=np.float32)[:, None]
     expected = [plain_check_edge(engine, tiny, s, e) for s, e in zip(starts, ends, strict=True)]
     valid, num_checks = (np.array(column) for column in zip(*expected, strict=True))
     assert 20 < valid.sum() < 180
@@ -295,11 +296,12 @@ def test_edges_leave_no_gap_wider_than_the_resolution():
 
 def test_edges_of_no_length_and_beyond_range(tiny, tiny_edges):
     scene = jax.tree.map(jnp.asarray, make_scene([], []))
-    q = jnp.zeros((2, 3))
+    q, bad = np.zeros((2, 2, 3), np.float32)
+    bad[0, 1], bad[1, 0] = np.nan, 100.0
     checks = tiny_edges(scene, q, q)
     assert checks.valid.all()
     assert not checks.num_checks.any()
-    checks = tiny_edges(scene, q, q.at[0, 1].set(jnp.nan).at[1, 0].set(100.0))
+    checks = tiny_edges(scene, q, bad)
     assert not checks.valid.any()
 
 
@@ -324,10 +326,10 @@ def test_edges_eager_and_vmap(tiny, tiny_checker, tiny_edges):
 def test_invalid_configurations(tiny, backend):
     check = jax.jit(make_checker(tiny, backend).check_configurations)
     scene = jax.tree.map(jnp.asarray, make_scene([], []))
-    upper, lower = jnp.asarray(tiny.joint_upper), jnp.asarray(tiny.joint_lower)
-    q = jnp.zeros((6, 3)).at[1, 2].set(jnp.nan).at[2].set(jnp.nan).at[3, 0].set(jnp.inf)
-    q = q.at[4, 0].set(jnp.nextafter(upper[0], jnp.float32(9)))
-    q = q.at[5, 2].set(jnp.nextafter(lower[2], jnp.float32(-9)))
+    q = np.zeros((6, 3), np.float32)
+    q[1, 2], q[2], q[3, 0] = np.nan, np.nan, np.inf
+    q[4, 0] = np.nextafter(np.float32(tiny.joint_upper[0]), np.float32(9))
+    q[5, 2] = np.nextafter(np.float32(tiny.joint_lower[2]), np.float32(-9))
     assert np.asarray(check(scene, q)).tolist() == [True, False, False, False, False, False]
 
 

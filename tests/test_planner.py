@@ -131,13 +131,17 @@ def test_the_command_plans_and_draws(tiny_path, tmp_path):
     assert (tmp_path / "plan.png").stat().st_size > 10_000
 
 
-def test_the_command_exits_with_1_where_there_is_no_path(tiny_path, tmp_path):
+def test_the_command_returns_1_where_there_is_no_path(tiny_path, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     # A wall in front of the arm, whose first joint cannot turn the other way round.
     scene = {"boxes": [{"center": [0.6, 0, 0], "half_extents": [0.47, 0.02, 1.0]}]}
-    done = run_plan(tmp_path, tiny_path, scene, ["-1.5", "0", "0"], ["1.5", "0", "0"])
-    assert done.returncode == 1
-    assert "no path in the 2 roadmaps tried (60 nodes" in done.stdout
-    assert not (tmp_path / "path.npz").exists()
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    ends = {"start": (-1.5, 0.0, 0.0), "goal": (1.5, 0.0, 0.0)}
+    options = {"planner": "lazysp", "num_nodes": 60, "max_roadmaps": 2}
+    config = PlanConfig(scene=Path("scene.json"), robot=str(tiny_path), **ends, **options)
+    assert plan_once(config) == 1
+    assert "no path in the 2 roadmaps tried (60 nodes" in capsys.readouterr().out
+    assert not config.out.exists()
 
 
 def test_the_command_says_in_one_line_what_is_wrong(tiny_path, tmp_path):

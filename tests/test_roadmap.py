@@ -15,12 +15,12 @@ from gnnjax.problems.labelled import label_roadmap
 from gnnjax.roadmap.graph import connect, radius_for_degree, reverse_slots
 from gnnjax.roadmap.paths import cost_to_go, edge_validity, for_each_edge
 
-jitted_connect = jax.jit(connect, static_argnums=3)
+jitted_connect, jitted_reverse = jax.jit(connect, static_argnums=3), jax.jit(reverse_slots)
 
 
 def random_roadmap(seed, num=40, slots=24, radius=0.45, masked=0):
-    nodes = jax.random.uniform(jax.random.key(seed), (num, 3))
-    return jitted_connect(nodes, jnp.arange(num) < num - masked, radius, slots)
+    nodes = np.random.default_rng(seed).random((num, 3), np.float32)
+    return jitted_connect(nodes, np.arange(num) < num - masked, radius, slots)
 
 
 def adjacency(roadmap, keep=None):
@@ -53,10 +53,10 @@ def test_the_graph_stays_symmetric_when_slots_run_out_and_says_what_it_dropped()
 
 
 def test_the_graph_stays_symmetric_where_neighbors_are_equally_far():
-    grid = jnp.stack(jnp.meshgrid(*[jnp.arange(5.0)] * 2), axis=-1).reshape(-1, 2)
-    nodes = jnp.concatenate([grid, grid[:3]])  # and some twice
+    grid = np.stack(np.meshgrid(*[np.arange(5.0)] * 2), axis=-1).reshape(-1, 2)
+    nodes = np.float32(np.concatenate([grid, grid[:3]]))  # and some twice
     for slots in (3, 6, 28):
-        roadmap = jitted_connect(nodes, jnp.ones(28, bool), 1.5, slots)
+        roadmap = jitted_connect(nodes, np.ones(28, bool), 1.5, slots)
         joined = np.zeros((28, 28), int)
         for i, k in np.argwhere(np.asarray(roadmap.neighbor_mask)):
             joined[i, roadmap.neighbors[i, k]] += 1
@@ -69,7 +69,7 @@ def test_the_graph_stays_symmetric_where_neighbors_are_equally_far():
 
 def test_reverse_slots_lead_back():
     roadmap = random_roadmap(2, slots=10)
-    reverse = np.asarray(reverse_slots(roadmap))
+    reverse = np.asarray(jitted_reverse(roadmap))
     for i, k in zip(*np.nonzero(np.asarray(roadmap.neighbor_mask)), strict=True):
         j, back = divmod(reverse[i, k], 10)
         assert j == roadmap.neighbors[i, k]
@@ -78,12 +78,12 @@ def test_reverse_slots_lead_back():
 
 def test_graphs_tuple_holds_every_edge_once_each_way():
     roadmap = random_roadmap(3)
-    graph = graphs_tuple(roadmap, 1024)
+    graph = jax.tree.map(np.asarray, jax.jit(graphs_tuple, static_argnums=1)(roadmap, 1024))
     count = int(graph.n_edge[0])
     matrix = np.zeros((41, 41))
     np.add.at(matrix, (graph.receivers[:count], graph.senders[:count]), graph.edges[:count, 0])
     np.testing.assert_allclose(matrix[:40, :40], adjacency(roadmap), rtol=1e-6)
-    assert (np.asarray(graph.senders[count:]) == 40).all()
+    assert (graph.senders[count:] == 40).all()
     assert int(graph.n_edge.sum()) == 1024
 
 
@@ -91,9 +91,10 @@ def test_graphs_tuple_holds_every_edge_once_each_way():
 def test_the_radius_gives_the_mean_degree(num_nodes):
     robot = load_robot("kuka_iiwa14")
     radius = radius_for_degree(robot, num_nodes, 14.0)
-    unit = jax.random.uniform(jax.random.key(0), (num_nodes, robot.num_dof))
-    roadmap = connect(unit * robot.joint_range, jnp.ones(num_nodes, bool), radius, 96)
-    assert abs(float(roadmap.neighbor_mask.sum(axis=1).mean()) - 14.0) < 1.5
+    unit = np.random.default_rng(0).random((num_nodes, robot.num_dof))
+    nodes = np.float32(unit * robot.joint_range)
+    roadmap = jitted_connect(nodes, np.ones(num_nodes, bool), radius, 96)
+    assert abs(np.asarray(roadmap.neighbor_mask).sum(axis=1).mean() - 14.0) < 1.5
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -103,7 +104,7 @@ def test_cost_to_go_and_next_node_agree_with_dijkstra(seed):
     chance = np.random.default_rng(seed).random(roadmap.neighbors.shape).reshape(-1)
     # One draw an edge, the same from both ends.
     index = np.arange(chance.size).reshape(-1, slots)
-    canonical = np.minimum(index, np.asarray(reverse_slots(roadmap)))
+    canonical = np.minimum(index, np.asarray(jitted_reverse(roadmap)))
     valid = np.asarray(roadmap.neighbor_mask) & (chance[canonical] < 0.3)
     labels = jax.jit(label_roadmap)(roadmap, jnp.asarray(valid))
     expected = dijkstra(csr_matrix(adjacency(roadmap, valid)), indices=1)
@@ -140,7 +141,7 @@ def test_a_cost_to_go_that_stops_early_is_exact_at_the_start_and_on_its_way(seed
     slots = roadmap.neighbors.shape[1]
     draws = np.random.default_rng(seed).exponential(size=roadmap.neighbors.size)
     index = np.arange(draws.size).reshape(-1, slots)
-    extra = draws[np.minimum(index, np.asarray(reverse_slots(roadmap)))]
+    extra = draws[np.minimum(index, np.asarray(jitted_reverse(roadmap)))]
     extra = np.where(extra > 1.5, np.inf, extra).astype(np.float32)
     cost = np.asarray(roadmap.lengths) + extra
     num, mask = len(roadmap.nodes), np.asarray(roadmap.neighbor_mask) & np.isfinite(cost)

@@ -32,12 +32,14 @@ from gnnjax.training.checkpoint import TrainingCheckpoints
 from gnnjax.training.run import TrainingRun, TrainState
 from gnnjax.training.weights import load_network, read_metadata
 
+jitted_targets = jax.jit(step_targets, static_argnums=1)
+
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_once():
     """Trainings that differ in nothing but their folders share what they compile."""
     steps, planners = {}, {}
-    make_step, make_planner = gnnjax.train.make_step, gnnjax.train.Planner
+    make_step, make_planner = gnnjax.train.make_step, gnnjax.train.WalkPlanner
 
     def shared_step(graphdef, optimizer, robot, config):
         key = dataclasses.replace(config, out=Path(), resume=False)
@@ -48,7 +50,7 @@ def compiled_once():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gnnjax.train, "make_step", shared_step)
-        patch.setattr(gnnjax.train, "Planner", shared_planner)
+        patch.setattr(gnnjax.train, "WalkPlanner", shared_planner)
         yield
 
 
@@ -84,7 +86,7 @@ def log_softmax(values, mask):
 def test_targets_point_along_the_shortest_path(graphs, temperature):
     for i in range(4):
         data = graph(graphs, i)
-        target, counts = step_targets(data, temperature)
+        target, counts = jitted_targets(data, temperature)
         cost, following = np.asarray(data.labels.cost_to_go), np.asarray(data.labels.next_node)
         for node in range(30):
             assert counts[node] == (np.isfinite(cost[node]) and node != GOAL)
@@ -110,7 +112,7 @@ def test_the_walk_learns_from_the_nodes_that_a_plain_loop_visits(graphs, network
     values_at = jax.jit(lambda network, *at: network.guidance_values(*at))
     for i in range(6):
         data = graph(graphs, i)
-        target, counts = step_targets(data, 0.0)
+        target, counts = jitted_targets(data, 0.0)
         encoding = encode(network, data.roadmap, data.problem.scene)
         state = extend(network, encoding, network.init_path(), 0)
         node, visited, losses = 0, {0}, []
@@ -165,6 +167,7 @@ def smoke(tiny_path, data_path, tmp_path_factory):
         robot=str(tiny_path),
         out=tmp_path_factory.mktemp("runs") / "smoke",
         validation_problems=8,  # as many as are planned below, with what is compiled here
+        without=("gat",),  # the ablation trains whole networks
     )
     train(config)
     return config
@@ -202,7 +205,7 @@ def test_a_run_logs_validates_and_leaves_weights_that_plan(tiny_path, smoke):
         assert sum(plan.success for plan in plans) >= 4
     meta = read_metadata(smoke.out / "weights.safetensors")
     assert meta["training"]["epochs"] == 2
-    assert meta["model"]["channels"] == 8
+    assert (meta["model"]["channels"], meta["model"]["without"]) == (8, ["gat"])
 
 
 def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch, capfd):

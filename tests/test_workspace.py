@@ -49,7 +49,7 @@ def test_distances_agree_with_mujocos_points_and_plain_geometry(tiny_path):
 def test_a_scene_without_boxes_is_far_away(tiny_path):
     robot = load_robot(tiny_path)
     scene = jax.tree.map(jnp.asarray, make_scene([], []))
-    found = point_distances(robot, 3)(scene, jnp.zeros((2, 3)))
+    found = jax.jit(point_distances(robot, 3))(scene, np.zeros((2, 3), np.float32))
     np.testing.assert_array_equal(found, 10.0)
 
 
@@ -71,8 +71,8 @@ def test_an_arm_with_few_geoms_repeats_some(tiny_path):
 
 
 def make_roadmap(num=30):
-    nodes = jax.random.uniform(jax.random.key(0), (num, 3))
-    return connect(nodes, jnp.ones(num, bool), 0.5, 20)
+    nodes = np.random.default_rng(0).random((num, 3), np.float32)
+    return jax.jit(connect, static_argnums=3)(nodes, np.ones(num, bool), 0.5, 20)
 
 
 def distances(q):
@@ -80,9 +80,10 @@ def distances(q):
 
 
 def test_edge_distances_do_not_depend_on_the_direction():
-    nodes = make_roadmap().nodes
-    near, far = jnp.arange(10), jnp.arange(10, 20)
-    there, back = (edge_distances(nodes, *e, 10, distances) for e in ((near, far), (far, near)))
+    roadmap = make_roadmap()
+    near, far, nodes = np.arange(10), np.arange(10, 20), np.asarray(roadmap.nodes)
+    along = jax.jit(lambda *ends: edge_distances(roadmap.nodes, *ends, 10, distances))
+    there, back = along(near, far), along(far, near)
     np.testing.assert_allclose(there, back, atol=1e-5)
     middle = (nodes[near] + nodes[far]) / 2
     np.testing.assert_allclose(there[:, -2:], distances(middle), atol=1e-5)
@@ -93,11 +94,16 @@ def test_edge_distances_do_not_depend_on_the_direction():
 
 def test_edge_distances_are_the_same_in_blocks(monkeypatch):
     nodes = make_roadmap().nodes
-    near, far = jnp.arange(10), jnp.arange(10, 20)
-    whole = edge_distances(nodes, near, far, 10, distances)
+    near, far = np.arange(10), np.arange(10, 20)
+
+    def along():
+        return jax.jit(lambda *edges: edge_distances(nodes, *edges, distances))
+
+    whole = along()(near, far, 10)
     monkeypatch.setattr("gnnjax.paper.validity._ROWS_A_BLOCK", 6)
-    np.testing.assert_allclose(edge_distances(nodes, near, far, 10, distances), whole, atol=1e-6)
-    few = np.asarray(edge_distances(nodes, near, far, 2, distances))
+    in_blocks = along()
+    np.testing.assert_allclose(in_blocks(near, far, 10), whole, atol=1e-6)
+    few = np.asarray(in_blocks(near, far, 2))
     np.testing.assert_allclose(few[:2], whole[:2], atol=1e-6)
     assert (few[5:, 4:] == 0).all()  # blocks of padding are not looked at
 
@@ -105,7 +111,8 @@ def test_edge_distances_are_the_same_in_blocks(monkeypatch):
 def test_logits_are_symmetric_and_zero_on_padding():
     roadmap = make_roadmap()
     head = ValidityHead(3, 8, 2, rngs=nnx.Rngs(0))
-    logits = np.asarray(head(roadmap, roadmap.nodes, distances, roadmap.neighbors.size))
+    size = roadmap.neighbors.size
+    logits = np.asarray(jax.jit(lambda r: head(r, r.nodes, distances, size))(roadmap))
     mask = np.asarray(roadmap.neighbor_mask)
     assert (logits[~mask] == 0).all()
     table = np.full((30, 30), np.nan)
@@ -129,7 +136,7 @@ def test_the_cost_through_a_neighbor_agrees_with_dijkstra():
             np.exp(-draws[a, b])
         )
     cost = dijkstra(csr_matrix(price), indices=1)
-    through = np.asarray(cost_through(roadmap, jnp.asarray(logits)))
+    through = np.asarray(jax.jit(cost_through)(roadmap, logits))
     for i, k in np.argwhere(mask):
         j = neighbors[i, k]
         np.testing.assert_allclose(through[i, k], price[i, j] + cost[j], rtol=1e-4)
@@ -139,7 +146,7 @@ def test_an_arms_view_agrees_with_mujocos_points_and_plain_geometry(tiny_path):
     robot, rng, num = load_robot(tiny_path), np.random.default_rng(1), 3
     scene = random_scene(rng)
     q = rng.uniform(robot.joint_lower, robot.joint_upper, (40, 3)).astype(np.float32)
-    found = arm_view(robot, num)(jax.tree.map(jnp.asarray, scene), jnp.asarray(q))
+    found = jax.jit(arm_view(robot, num))(scene, q)
     data, chosen = mujoco.MjData(robot.mj_model), list(choose_points(robot, num))
     bodies = robot.geom_bodies
     touching = {(bodies[a], bodies[b]) for a, b in robot.self_pairs}
@@ -167,6 +174,6 @@ def test_an_arms_view_agrees_with_mujocos_points_and_plain_geometry(tiny_path):
 def test_an_arms_view_without_boxes_is_far_from_them(tiny_path):
     robot = load_robot(tiny_path)
     scene = jax.tree.map(jnp.asarray, make_scene([], []))
-    seen = arm_view(robot, 5)(scene, jnp.zeros((2, 3)))
+    seen = jax.jit(arm_view(robot, 5))(scene, np.zeros((2, 3), np.float32))
     radii = robot.geom_radii[list(choose_points(robot, 5))]
     np.testing.assert_allclose(seen.clearance[:, :5], np.tile(10 - radii, (2, 1)), rtol=1e-6)
