@@ -162,18 +162,8 @@ def _check_edges(
     num_edges, num_dof = starts.shape
     # Large batches stop early edge by edge; a lone edge is tested in one or two blocks.
     block = max(8, min(64, 512 // max(num_edges, 1)))
-    # Both directions of an edge test the very same floats, so that validity cannot depend on the
-    # direction: the lexicographically smaller end comes first.
-    differs = starts != ends
-    first = jnp.argmax(differs, axis=-1)[:, None]
-    swap = jnp.take_along_axis(starts > ends, first, axis=-1)
-    low, high = jnp.where(swap, ends, starts), jnp.where(swap, starts, ends)
-    length = jnp.linalg.norm(high - low, axis=-1)
-    max_intervals = len(order) - 1
-    intervals = jnp.clip(jnp.ceil(length / resolution), 1, max_intervals).astype(jnp.int32)
-    # NaN or a length beyond the robot's range: cannot be tested at the resolution, so not valid.
-    testable = length <= resolution * max_intervals
-    table = jnp.asarray(order)
+    max_intervals, table = len(order) - 1, jnp.asarray(order)
+    low, high, intervals, testable = _cut(starts, ends, resolution, max_intervals)
 
     def unfinished(state):
         done, valid, _ = state
@@ -199,6 +189,22 @@ def _check_edges(
     return EdgeChecks(valid, num_checks)
 
 
+def _cut(
+    starts: jax.Array, ends: jax.Array, resolution: float, max_intervals: int
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Both ends of each edge, its intervals, and whether it can be tested."""
+    # Both directions of an edge test the very same floats, so that validity cannot depend on the
+    # direction: the lexicographically smaller end comes first.
+    differs = starts != ends
+    first = jnp.argmax(differs, axis=-1)[:, None]
+    swap = jnp.take_along_axis(starts > ends, first, axis=-1)
+    low, high = jnp.where(swap, ends, starts), jnp.where(swap, starts, ends)
+    length = jnp.linalg.norm(high - low, axis=-1)
+    intervals = jnp.clip(jnp.ceil(length / resolution), 1, max_intervals).astype(jnp.int32)
+    # NaN or a length beyond the robot's range: cannot be tested at the resolution, so not valid.
+    return low, high, intervals, length <= resolution * max_intervals
+
+
 def _check_many_edges(
     check_configurations: Callable[[Scene, jax.Array], jax.Array],
     order: np.ndarray,
@@ -214,15 +220,8 @@ def _check_many_edges(
     """
     num_edges, num_dof = starts.shape
     nobody = jnp.int32(num_edges)  # in rows without an edge; writes nothing
-    differs = starts != ends
-    first = jnp.argmax(differs, axis=-1)[:, None]
-    swap = jnp.take_along_axis(starts > ends, first, axis=-1)
-    low, high = jnp.where(swap, ends, starts), jnp.where(swap, starts, ends)
-    length = jnp.linalg.norm(high - low, axis=-1)
-    max_intervals = len(order) - 1
-    intervals = jnp.clip(jnp.ceil(length / resolution), 1, max_intervals).astype(jnp.int32)
-    testable = length <= resolution * max_intervals
-    table = jnp.asarray(order)
+    max_intervals, table = len(order) - 1, jnp.asarray(order)
+    low, high, intervals, testable = _cut(starts, ends, resolution, max_intervals)
     to_test = jnp.where(testable, intervals - 1, 0)  # configurations
     queue = jnp.argsort(-to_test).astype(jnp.int32)
     num_queued = (to_test > 0).sum()
