@@ -1,11 +1,14 @@
 """How work is compiled and spread: the cache of compiled code, and the axis of many problems."""
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 
 def cache_compilations() -> None:
@@ -70,3 +73,39 @@ def map_first(function: Callable, num: jax.Array | int, args: Any) -> Any:
 
     zeros = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), blank)
     return jax.lax.fori_loop(0, num, one, zeros)
+
+
+def num_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def on_all_cores(function: Callable, args: Any) -> Any:
+    """Calls a compiled `(num, args) -> results`, which is a `map_first`, for all rows of `args`.
+
+    On a CPU each core takes a part of the rows: `map_first` keeps but one of them busy. An
+    accelerator takes them at once.
+
+    Args:
+        function: jitted; its results are a tree of arrays.
+        args: a tree of arrays with B rows.
+
+    Returns:
+        NumPy arrays with B rows.
+    """
+    num = len(jax.tree.leaves(args)[0])
+    cores = min(num, num_cores()) if jax.default_backend() == "cpu" else 1
+    size = -(-num // cores)
+
+    def part(first: int) -> Any:
+        rows = np.minimum(np.arange(first, first + size), num - 1)
+        found = function(min(size, num - first), jax.tree.map(lambda x: x[rows], args))
+        return jax.tree.map(np.asarray, found)
+
+    if cores > 1:  # or each thread would compile it
+        function(0, jax.tree.map(lambda x: x[:size], args))
+    with ThreadPoolExecutor(cores) as pool:
+        parts = list(pool.map(part, range(0, num, size)))
+    return jax.tree.map(lambda *x: np.concatenate(x)[:num], *parts)

@@ -50,6 +50,13 @@ def brief(value: object) -> str:
     return _REPR.repr(value)
 
 
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether memory ran out, Python's or a device's."""
+    if isinstance(error, jax.errors.JaxRuntimeError):
+        return "RESOURCE_EXHAUSTED" in str(error)
+    return isinstance(error, MemoryError)
+
+
 def run_command(
     main: Callable[[], int | None], again: str = "start the same command again"
 ) -> NoReturn:
@@ -71,7 +78,7 @@ def run_command(
         print(f"error: {one_line(f'{named}; {remedy}')}", file=sys.stderr)
         status = 2
     except (MemoryError, jax.errors.JaxRuntimeError) as error:
-        if isinstance(error, jax.errors.JaxRuntimeError) and "RESOURCE_EXHAUSTED" not in str(error):
+        if not is_out_of_memory(error):
             raise
         line = one_line(f"not enough memory; ask for fewer nodes ({error})")
         print(f"error: {line}", file=sys.stderr)

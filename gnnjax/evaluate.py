@@ -22,14 +22,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.errors import InputError, brief, check_seed, run_command
+from gnnjax.errors import InputError, brief, check_seed, is_out_of_memory, run_command
 from gnnjax.files import atomic_write, check_target, locked
 from gnnjax.measure.machine import describe_machine
 from gnnjax.measure.rows import ROW, make_row, straight_line_blocked, within
 from gnnjax.measure.statistics import summarize
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import make_planner
-from gnnjax.planning.query import Plan, QueryPlanner, check_query
+from gnnjax.planning.query import Plan, QueryPlanner, check_queries
 from gnnjax.problems.problem import ProblemSet
 from gnnjax.problems.shards import load_problems
 
@@ -52,8 +52,8 @@ class EvaluateConfig(PlannerOptions):
     num_problems: int | None = None
     """Only the first so many problems."""
     batch_size: int = 1
-    """Problems planned at once. With 1, times are those of single queries; with more, the shares of
-    each problem in its batch."""
+    """Problems planned at once, fewer where memory does not suffice. With 1, times are those of
+    single queries; with more, the shares of each problem in its batch."""
     time_limit: float = 5.0
     """Seconds a problem may take; a path that comes later is a failure."""
     seed: int = 0
@@ -114,45 +114,74 @@ def _plan_missing(
     results: dict[str, Any],
     config: EvaluateConfig,
 ) -> None:
-    rows = results["problems"]
-    num, size = len(problems), config.batch_size
+    """Adds the rows that are missing, a batch at a time.
+
+    No result depends on who else is in its batch: batches may begin at any row, where a run was cut
+    off, and may become smaller.
+    """
+    rows, asked = results["problems"], problems.problems
+    num = len(problems)
+    size = min(config.batch_size, num - len(rows))
+    compiled = stored = False
+    planned, spent = 0, 0.0
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     with Progress(*columns, TimeRemainingColumn()) as progress:
         task = progress.add_task("compiling", total=num, completed=len(rows))
         progress.console.print("compiling; the first time that takes up to a minute")
-        blocked = straight_line_blocked(planner.robot, config.checker, problems.problems)
-        planner.warm_up(jax.tree.map(lambda x: x[0], problems.problems.scene), size)
-        written, warm = time.monotonic(), False
-        for first in range(len(rows), num, size):
-            batch = range(first, min(first + size, num))
-            reasons: dict[int, str] = {}
-            checking = np.zeros(num)
-            for i in batch:
-                start, goal, scene = jax.tree.map(lambda x, i=i: x[i], problems.problems)
-                begin = time.perf_counter()
-                try:
-                    check_query(planner.robot, scene, start, goal)
-                except InputError as error:
-                    reasons[i] = str(error)
-                checking[i] = time.perf_counter() - begin
-            valid = [i for i in batch if i not in reasons]
+        blocked = straight_line_blocked(planner.robot, config.checker, asked)
+        written = time.monotonic()
+        while len(rows) < num:
+            batch = np.arange(len(rows), min(len(rows) + size, num))
+            begin = time.perf_counter()
+            reasons = check_queries(planner.robot, _take(asked, batch))
+            checking = time.perf_counter() - begin
+            valid = batch[[reason is None for reason in reasons]]
             plans: dict[int, Plan] = {}
-            if valid:
-                # Whole batches, so that nothing is compiled again.
-                padded = np.array((valid + [valid[0]] * size)[:size])
-                queries = jax.tree.map(lambda x, at=padded: x[at], problems.problems)
-                if not warm:  # the roadmaps of this seed are stored from now on
-                    planner.plan_batch(queries, seed=config.seed)
-                    warm = True
-                made = planner.plan_batch(queries, seed=config.seed)
-                plans = dict(zip(valid, made, strict=False))
-            for i in batch:
-                row = make_row(i, plans.get(i), reasons.get(i, ""), bool(blocked[i]), checking[i])
+            try:
+                if not compiled:
+                    planner.warm_up(_take(asked.scene, 0), size)
+                    compiled = True
+                if len(valid):
+                    # Whole batches, so that nothing is compiled again.
+                    queries = _take(asked, np.resize(valid, size))
+                    if not stored:  # the roadmaps of this seed are, from now on
+                        planner.plan_batch(queries, seed=config.seed)
+                        stored = True
+                    begin = time.perf_counter()
+                    made = planner.plan_batch(queries, seed=config.seed)
+                    checked_and_planned = checking + time.perf_counter() - begin
+                    plans = dict(zip(valid.tolist(), made, strict=False))
+                    planned, spent = planned + len(valid), spent + checked_and_planned
+            except (MemoryError, jax.errors.JaxRuntimeError) as error:
+                smaller = _halved(size, error)
+                progress.console.print(
+                    f"not enough memory for {size} problems at once; batch_size is halved to "
+                    f"{smaller}"
+                )
+                size, compiled = smaller, False
+                continue
+            for i, reason in zip(batch.tolist(), reasons, strict=True):
+                share = checking / len(batch)
+                row = make_row(i, plans.get(i), reason or "", bool(blocked[i]), share)
                 rows.append(within(row, config.time_limit))
-            progress.update(task, completed=len(rows), description=config.planner)
+            words = f"{config.planner}, {planned / spent:.3g} problems/s" if planned else "planning"
+            progress.update(task, completed=len(rows), description=words)
             if time.monotonic() - written > _WRITE_EVERY_S:
                 _write(config.json, results)
                 written = time.monotonic()
+
+
+def _take(problems: Any, rows: np.ndarray | int) -> Any:
+    return jax.tree.map(lambda x: x[rows], problems)
+
+
+def _halved(size: int, error: Exception) -> int:
+    """Half the size of a batch that did not fit into memory; other errors go on."""
+    if not is_out_of_memory(error):
+        raise error
+    if size == 1:
+        raise InputError(f"not enough memory for one problem; ask for fewer nodes ({error})")
+    return size // 2
 
 
 def _earlier_results(path: Path, settings: dict[str, Any]) -> list[dict]:

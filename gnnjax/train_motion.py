@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
-from gnnjax.devices import cache_compilations, over_problems
+from gnnjax.devices import cache_compilations, map_first
 from gnnjax.errors import InputError, run_command
 from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
@@ -139,7 +139,7 @@ def motion_sampler(
 def make_batches(
     robot: Robot, config: TrainMotionConfig
 ) -> Callable[[jax.Array], tuple[ArmView, ArmView, jax.Array, jax.Array]]:
-    """Makes the compiled function `key -> (start, end, length, valid)`, all scenes' in one row."""
+    """Makes the function `key -> (start, end, length, valid)`, all scenes' in one row."""
     draw = motion_sampler(robot, config.motions, _LENGTHS, _FREE_SHARE)
     view = arm_view(robot, config.num_points)
 
@@ -154,12 +154,11 @@ def make_batches(
         return start, end, length, motions.valid
 
     @jax.jit
-    def batch(key: jax.Array):
-        keys = jax.random.split(key, config.scenes)
-        drawn = over_problems(one, jnp.ones(config.scenes, bool), keys)
+    def batch(key: jax.Array, num: jax.Array):
+        drawn = map_first(one, num, jax.random.split(key, config.scenes))
         return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), drawn)
 
-    return batch
+    return lambda key: batch(key, config.scenes)
 
 
 def make_step(graphdef: Any, optimizer: optax.GradientTransformation) -> Callable:
@@ -207,18 +206,17 @@ def make_validation(
     view = arm_view(robot, config.num_points)
 
     @jax.jit
-    def validate(weights: Any, key: jax.Array):
+    def validate(weights: Any, key: jax.Array, num: jax.Array):
         def one(key: jax.Array):
             scene, motions = draw(key)
             network = nnx.merge(graphdef, weights)
             prices = make_prices(network, functools.partial(view, scene))
             return -prices.motions(motions.starts, motions.ends, most), motions.valid
 
-        keys = jax.random.split(key, config.scenes)
-        return over_problems(one, jnp.ones(config.scenes, bool), keys)
+        return map_first(one, num, jax.random.split(key, config.scenes))
 
     def on_host(weights: Any, key: jax.Array) -> tuple[np.ndarray, np.ndarray]:
-        scores, valid = validate(weights, key)
+        scores, valid = validate(weights, key, config.scenes)
         return np.asarray(scores).ravel(), np.asarray(valid).ravel()
 
     return on_host

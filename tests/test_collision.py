@@ -266,6 +266,32 @@ def test_edges_match_plain_loop(tiny, tiny_edges):
     np.testing.assert_array_equal(few.num_checks, num_checks[-4:])
 
 
+def test_many_edges_come_to_what_few_come_to(tiny, tiny_checker, tiny_edges):
+    """More than wait in the queue at a time, of all lengths, some of which cannot be tested."""
+    rng = np.random.default_rng(8)
+    scenes = [random_scene(rng, num, rotated=True) for num in (0, 2)]
+    starts, ends = np.array([random_configurations(rng, tiny, 1280) for _ in range(2)])
+    ends = starts + (ends - starts) * rng.random((1280, 1), np.float32) ** 2
+    ends[::50] = starts[::50]
+    ends[7::100, 1], ends[9::100, 0] = np.nan, 100.0
+    at_once = jax.jit(jax.vmap(tiny_checker.check_edges, in_axes=(0, None, None)))(
+        jax.tree.map(lambda *x: np.stack(x), *scenes), starts, ends
+    )
+    for number, scene in enumerate(scenes):
+        parts = [
+            tiny_edges(scene, starts[first : first + 64], ends[first : first + 64])
+            for first in range(0, 1280, 64)
+        ]
+        few = jax.tree.map(lambda *x: np.concatenate(x), *parts)
+        many = tiny_edges(scene, starts, ends)
+        for found in (many, jax.tree.map(lambda x, i=number: x[i], at_once)):
+            np.testing.assert_array_equal(found.valid, few.valid)
+            np.testing.assert_array_equal(found.num_checks, few.num_checks)
+        assert 300 < few.valid.sum() < 1280 - 26
+        assert not few.valid[7::100].any()
+        assert not few.valid[9::100].any()
+
+
 def test_edges_leave_no_gap_wider_than_the_resolution():
     # An obstacle a bit wider than the resolution, anywhere on the edge, must be found, and a free
     # edge must take no more tests than that needs.

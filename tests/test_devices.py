@@ -1,9 +1,11 @@
-"""Maps over problems are what `vmap` makes of the same function, traced once."""
+"""How rows are mapped, and spread over cores and devices."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+from gnnjax import devices
 from gnnjax.devices import map_first
 
 
@@ -29,3 +31,33 @@ def test_the_first_rows_are_mapped_with_one_trace_and_the_others_are_zero():
             signed, np.where(wanted[:, None], np.where(b[:, None], a, -a), 0)
         )
     assert len(traces) == 1
+
+
+@pytest.mark.parametrize("cores", [1, 2, 3, 7, 16])
+def test_rows_come_back_in_order_whatever_the_cores(monkeypatch, cores):
+    monkeypatch.setattr(devices, "num_cores", lambda: cores)
+    args = {"x": np.random.default_rng(0).random((7, 3), np.float32), "n": np.arange(7)}
+    traces = []
+
+    @jax.jit
+    def roots(num, args):
+        traces.append(num)
+        return devices.map_first(lambda row: (jnp.sqrt(row["x"]), row["n"] + 1), num, args)
+
+    for _ in range(2):
+        root, following = devices.on_all_cores(roots, args)
+        np.testing.assert_array_equal(root, np.sqrt(args["x"]))
+        np.testing.assert_array_equal(following, np.arange(1, 8))
+    assert len(traces) == 1
+
+
+def test_what_goes_wrong_in_a_part_is_heard_of(monkeypatch):
+    monkeypatch.setattr(devices, "num_cores", lambda: 2)
+
+    def fails(num, args):
+        if num and args[0] >= 2:
+            raise MemoryError("no room")
+        return args
+
+    with pytest.raises(MemoryError, match="no room"):
+        devices.on_all_cores(fails, np.arange(4))

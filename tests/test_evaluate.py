@@ -18,6 +18,7 @@ from gnnjax.files import locked
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.measure.statistics import summarize
 from gnnjax.planning.planner import GuidedPlanner, make_planner
+from gnnjax.planning.query import check_queries
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import Scene
@@ -167,6 +168,103 @@ def test_a_killed_run_goes_on_where_it_stopped(tiny_path, problems, results, tmp
     assert resumed[: len(kept)] == kept
     expected = without_times(results["problems"]) * 50
     assert [row | {"index": i % 6} for i, row in enumerate(without_times(resumed))] == expected
+
+
+@pytest.mark.parametrize("settings", [{}, {"planner": "guided", "max_roadmaps": 1}])
+@pytest.mark.parametrize("kept", [0, 1, 3])
+def test_a_run_that_was_cut_off_in_a_batch_comes_to_the_same_rows(
+    tiny_path, problems, tmp_path, settings, kept
+):
+    whole = evaluate(config(tiny_path, problems, tmp_path / "whole.json", **settings))
+    out = tmp_path / "cut.json"
+    case = config(tiny_path, problems, out, batch_size=4, **settings)
+    evaluate(case)
+    found = json.loads(out.read_text())
+    cut = {"problems": found["problems"][:kept], "complete": False, "summary": {}}
+    out.write_text(json.dumps(found | cut))
+    resumed = evaluate(case)
+    assert resumed["problems"][:kept] == found["problems"][:kept]
+    assert without_times(resumed["problems"]) == without_times(whole["problems"])
+    assert resumed["settings"] == found["settings"]
+
+
+class ShortOfMemory:
+    """A planner that has room for so many problems."""
+
+    def __init__(self, planner, most, error):
+        self.planner, self.most, self.error = planner, most, error
+        self.robot, self.radius = planner.robot, planner.radius
+        self.sizes = []  # of the batches that were tried
+
+    def warm_up(self, scene, batch_size=1):
+        self.planner.warm_up(scene, batch_size)
+
+    def plan_batch(self, problems, *, seed=0):
+        self.sizes.append(len(problems.start))
+        if self.sizes[-1] > self.most:
+            raise self.error
+        return self.planner.plan_batch(problems, seed=seed)
+
+
+OUT_OF_MEMORY = jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 TB")
+
+
+@pytest.mark.parametrize("error", [MemoryError(), OUT_OF_MEMORY])
+def test_a_batch_that_does_not_fit_is_halved(tiny_path, problems, results, tmp_path, capsys, error):
+    # Twelve problems; those that are valid, of the first sixteen, twelve, six and three.
+    many = load_problems(problems, load_robot(tiny_path)).take(np.tile(np.arange(6), 2))
+    save_problems(tmp_path / "many.npz", many)
+    case = config(tiny_path, tmp_path / "many.npz", tmp_path / "halved.json", batch_size=16)
+    planner = ShortOfMemory(make_planner(load_robot(tiny_path), case), 4, error)
+    found = evaluate(case, planner)
+    assert planner.sizes == [12, 6, 3, 3, 3, 3, 3]  # the first that fits is planned once untimed
+    said = " ".join(capsys.readouterr().out.split())
+    assert "not enough memory for 12 problems at once; batch_size is halved to 6" in said
+    assert "not enough memory for 6 problems at once; batch_size is halved to 3" in said
+    assert "problems/s" in said
+    expected = without_times(results["problems"]) * 2
+    rows = without_times(found["problems"])
+    assert [row | {"index": i % 6} for i, row in enumerate(rows)] == expected
+    assert found["settings"]["batch_size"] == 16
+
+
+def test_one_problem_that_does_not_fit_and_other_errors_end_the_run(tiny_path, problems, tmp_path):
+    case = config(tiny_path, problems, tmp_path / "none.json", batch_size=4)
+    planner = make_planner(load_robot(tiny_path), case)
+    short = ShortOfMemory(planner, 0, OUT_OF_MEMORY)
+    with pytest.raises(InputError, match="not enough memory for one problem; ask for fewer nodes"):
+        evaluate(case, short)
+    assert short.sizes == [4, 2, 1]
+    broken = ShortOfMemory(planner, 0, jax.errors.JaxRuntimeError("INTERNAL: broken"))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="INTERNAL: broken"):
+        evaluate(case, broken)
+    assert broken.sizes == [4]
+
+
+@pytest.mark.parametrize("name", ["guided", "lazysp"])
+def test_problems_that_are_none_leave_the_others_of_their_batch_alone(
+    tiny_path, problems, tmp_path, name
+):
+    """Also without a check of the queries, which `plan_batch` leaves to its callers."""
+    case = config(tiny_path, problems, tmp_path / "unused.json", planner=name)
+    planner = make_planner(load_robot(tiny_path), case)
+    query = load_problems(problems, planner.robot).problems
+    query = jax.tree.map(lambda x: np.resize(x, (18, *x.shape[1:])), query)
+    plans = planner.plan_batch(query)
+    assert sum(plan.success for plan in plans) >= 6
+    for part in ("start", "goal", "centers", "half_extents"):
+        changed = jax.tree.map(np.copy, query)
+        bad = [0, 7, 11]
+        getattr(changed if part in ("start", "goal") else changed.scene, part)[bad] = np.nan
+        assert all(fault for fault in np.array(check_queries(planner.robot, changed))[bad])
+        found = planner.plan_batch(changed)
+        for i, (one, other) in enumerate(zip(plans, found, strict=True)):
+            if i in bad:
+                assert not other.success
+                continue
+            np.testing.assert_array_equal(one.path, other.path)
+            drop = {"path": 0, "planning_time_s": 0, "total_time_s": 0}
+            assert one._asdict() | drop == other._asdict() | drop
 
 
 def test_a_batch_finds_what_single_queries_find(tiny_path, problems, results, tmp_path):

@@ -25,6 +25,11 @@ Backend: TypeAlias = Literal["fused", "mjx"]
 
 EDGE_RESOLUTION = 0.05  # rad (or m) between neighbouring configurations tested along an edge
 
+# Beyond so many edges, those in doubt share the blocks; so many at a time, with so many
+# configurations each.
+_FEW_EDGES = 64
+_MANY_AT_A_TIME, _MANY_STRETCH = 512, 8
+
 _MOST_INTERVALS = 20_000  # of an edge; its table of points has the square of them, 2 bytes each
 
 
@@ -99,6 +104,8 @@ def make_checker(
     def check_edges(
         scene: Scene, starts: Float[Array, "E D"], ends: Float[Array, "E D"]
     ) -> EdgeChecks:
+        if len(starts) > _FEW_EDGES:
+            return _check_many_edges(check_configurations, order, resolution, scene, starts, ends)
         return _check_edges(check_configurations, order, resolution, scene, starts, ends)
 
     return Checker(functions.clearance, check_configurations, check_each, check_edges)
@@ -155,18 +162,8 @@ def _check_edges(
     num_edges, num_dof = starts.shape
     # Large batches stop early edge by edge; a lone edge is tested in one or two blocks.
     block = max(8, min(64, 512 // max(num_edges, 1)))
-    # Both directions of an edge test the very same floats, so that validity cannot depend on the
-    # direction: the lexicographically smaller end comes first.
-    differs = starts != ends
-    first = jnp.argmax(differs, axis=-1)[:, None]
-    swap = jnp.take_along_axis(starts > ends, first, axis=-1)
-    low, high = jnp.where(swap, ends, starts), jnp.where(swap, starts, ends)
-    length = jnp.linalg.norm(high - low, axis=-1)
-    max_intervals = len(order) - 1
-    intervals = jnp.clip(jnp.ceil(length / resolution), 1, max_intervals).astype(jnp.int32)
-    # NaN or a length beyond the robot's range: cannot be tested at the resolution, so not valid.
-    testable = length <= resolution * max_intervals
-    table = jnp.asarray(order)
+    max_intervals, table = len(order) - 1, jnp.asarray(order)
+    low, high, intervals, testable = _cut(starts, ends, resolution, max_intervals)
 
     def unfinished(state):
         done, valid, _ = state
@@ -188,5 +185,77 @@ def _check_edges(
     zeros = jnp.zeros(num_edges, jnp.int32)
     _, valid, num_checks = jax.lax.while_loop(
         unfinished, test_block, (jnp.int32(0), testable, zeros)
+    )
+    return EdgeChecks(valid, num_checks)
+
+
+def _cut(
+    starts: jax.Array, ends: jax.Array, resolution: float, max_intervals: int
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Both ends of each edge, its intervals, and whether it can be tested."""
+    # Both directions of an edge test the very same floats, so that validity cannot depend on the
+    # direction: the lexicographically smaller end comes first.
+    differs = starts != ends
+    first = jnp.argmax(differs, axis=-1)[:, None]
+    swap = jnp.take_along_axis(starts > ends, first, axis=-1)
+    low, high = jnp.where(swap, ends, starts), jnp.where(swap, starts, ends)
+    length = jnp.linalg.norm(high - low, axis=-1)
+    intervals = jnp.clip(jnp.ceil(length / resolution), 1, max_intervals).astype(jnp.int32)
+    # NaN or a length beyond the robot's range: cannot be tested at the resolution, so not valid.
+    return low, high, intervals, length <= resolution * max_intervals
+
+
+def _check_many_edges(
+    check_configurations: Callable[[Scene, jax.Array], jax.Array],
+    order: np.ndarray,
+    resolution: float,
+    scene: Scene,
+    starts: jax.Array,
+    ends: jax.Array,
+) -> EdgeChecks:
+    """`_check_edges` with a queue: an edge that is decided makes room for the next.
+
+    Together, all edges would be computed until the longest is through. The longest come first, so
+    that few blocks at the end have empty rows.
+    """
+    num_edges, num_dof = starts.shape
+    nobody = jnp.int32(num_edges)  # in rows without an edge; writes nothing
+    max_intervals, table = len(order) - 1, jnp.asarray(order)
+    low, high, intervals, testable = _cut(starts, ends, resolution, max_intervals)
+    to_test = jnp.where(testable, intervals - 1, 0)  # configurations
+    queue = jnp.argsort(-to_test).astype(jnp.int32)
+    num_queued = (to_test > 0).sum()
+
+    def unfinished(state):
+        entered, edge, *_ = state
+        return (entered < num_queued) | jnp.any(edge < nobody)
+
+    def test_block(state):
+        entered, edge, done, valid, num_checks = state
+        free = edge == nobody
+        place = entered + jnp.cumsum(free) - 1
+        following = jnp.where(place < num_queued, queue[jnp.minimum(place, nobody - 1)], nobody)
+        edge, done = jnp.where(free, following, edge), jnp.where(free, 0, done)
+        at = jnp.minimum(edge, nobody - 1)
+        end = jnp.where(edge < nobody, to_test[at], 0)
+        step = done[:, None] + jnp.arange(_MANY_STRETCH)
+        wanted = step < end[:, None]
+        point = table[intervals[at][:, None], jnp.minimum(step, max_intervals - 1)]
+        fraction = point / intervals[at][:, None].astype(starts.dtype)
+        q = low[at][:, None] + fraction[..., None] * (high - low)[at][:, None]
+        valid_here = check_configurations(scene, q.reshape(-1, num_dof)).reshape(step.shape)
+        hit = wanted & ~valid_here
+        refuted = jnp.any(hit, axis=-1)
+        tested = jnp.where(refuted, jnp.argmax(hit, axis=-1) + 1, wanted.sum(axis=-1))
+        valid = valid.at[jnp.where(refuted, edge, nobody)].set(False, mode="drop")
+        num_checks = num_checks.at[edge].add(tested, mode="drop")
+        done = done + _MANY_STRETCH
+        entered = jnp.minimum(entered + free.sum(), num_queued)
+        return entered, jnp.where(refuted | (done >= end), nobody, edge), done, valid, num_checks
+
+    nothing = jnp.zeros(_MANY_AT_A_TIME, jnp.int32)
+    zeros = jnp.zeros(num_edges, jnp.int32)
+    *_, valid, num_checks = jax.lax.while_loop(
+        unfinished, test_block, (jnp.int32(0), nothing + nobody, nothing, testable, zeros)
     )
     return EdgeChecks(valid, num_checks)

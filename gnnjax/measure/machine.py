@@ -2,12 +2,13 @@
 
 import functools
 import importlib.metadata
-import os
 import platform
 from pathlib import Path
 from typing import Any
 
 import jax
+
+from gnnjax.devices import num_cores
 
 
 @functools.cache
@@ -20,9 +21,7 @@ def describe_machine() -> dict[str, Any]:
         model = names[0].split(":", 1)[1].strip() if names else model
     return {
         "processor": model,
-        "cores": len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count(),
+        "cores": num_cores(),
         "device": jax.devices()[0].device_kind,
         "python": platform.python_version(),
         "jax": jax.__version__,

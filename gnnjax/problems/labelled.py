@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import Backend, Checker, make_checker
 from gnnjax.collision.fused import boxes_clear
-from gnnjax.devices import over_problems
+from gnnjax.devices import map_first, on_all_cores
 from gnnjax.errors import InputError
 from gnnjax.problems.families import FAMILIES, FamilyName
 from gnnjax.problems.family_problem import sample_family_problem
@@ -85,11 +85,11 @@ def generate_labelled(
         return label(roadmap_key, problem) if num_nodes else problem, found
 
     @jax.jit
-    def compiled(keys: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:
-        return over_problems(one, jnp.ones(len(keys), bool), keys)
+    def compiled(num: jax.Array, keys: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:
+        return map_first(one, num, keys)
 
     def generate(keys: jax.Array) -> Problem | LabelledRoadmap:
-        drawn, found = compiled(keys)
+        drawn, found = on_all_cores(compiled, keys)
         if not np.all(found):
             raise InputError(
                 f"no start and goal for {int((~np.asarray(found)).sum())} of {len(keys)} problems "

@@ -10,8 +10,6 @@ from jaxtyping import Array, Bool, Float, Int
 from gnnjax.collision.checker import EdgeChecks
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, reverse_slots
 
-_EDGES_A_BLOCK = 1024  # bounds the memory of labelling whatever the roadmap's size
-
 
 class ValidityLabels(NamedTuple):
     """Validity of all edges of a roadmap and what it took to find out."""
@@ -28,38 +26,25 @@ def edge_validity(
 
     Args:
         roadmap: N nodes with K slots.
-        check_edges: `(starts [E D], ends [E D]) -> EdgeChecks`.
+        check_edges: `(starts [E D], ends [E D]) -> EdgeChecks`, for all edges at once and padding.
     """
     num, num_slots = roadmap.neighbors.shape
     own = jnp.arange(num)[:, None]
     once = (roadmap.neighbor_mask & (own < roadmap.neighbors)).reshape(-1)
-    most = num * num_slots // 2 + _EDGES_A_BLOCK  # so that the last block never leaves the array
-    (slots,) = jnp.nonzero(once, size=most, fill_value=-1)
-    count = once.sum()
-    neighbors = roadmap.neighbors.reshape(-1)
-    reverse = reverse_slots(roadmap).reshape(-1)
-
-    def unfinished(state):
-        return state[0] < count
-
-    def check_block(state):
-        done, valid, num_checks = state
-        block = jax.lax.dynamic_slice_in_dim(slots, done, _EDGES_A_BLOCK)
-        real = block >= 0
-        # Padding edges go from a node to itself, which costs no configuration.
-        sender = jnp.where(real, block // num_slots, 0)
-        receiver = jnp.where(real, neighbors[block], 0)
-        checks = check_edges(roadmap.nodes[sender], roadmap.nodes[receiver])
-        found = real & checks.valid
-        outside = num * num_slots
-        valid = valid.at[jnp.where(found, block, outside)].set(True, mode="drop")
-        valid = valid.at[jnp.where(found, reverse[block], outside)].set(True, mode="drop")
-        tested = jnp.sum(checks.num_checks, where=real)
-        return done + _EDGES_A_BLOCK, valid, num_checks + tested
-
-    start = (jnp.int32(0), jnp.zeros(num * num_slots, bool), jnp.int32(0))
-    _, valid, num_checks = jax.lax.while_loop(unfinished, check_block, start)
-    return ValidityLabels(valid.reshape(num, num_slots), count.astype(jnp.int32), num_checks)
+    (slots,) = jnp.nonzero(once, size=num * num_slots // 2, fill_value=-1)
+    real = slots >= 0
+    # Padding edges go from a node to itself, which costs no configuration.
+    sender = jnp.where(real, slots // num_slots, 0)
+    receiver = jnp.where(real, roadmap.neighbors.reshape(-1)[slots], 0)
+    checks = check_edges(roadmap.nodes[sender], roadmap.nodes[receiver])
+    found = real & checks.valid
+    other_way = reverse_slots(roadmap).reshape(-1)[slots]
+    outside = num * num_slots
+    valid = jnp.zeros(outside, bool)
+    for way in (slots, other_way):
+        valid = valid.at[jnp.where(found, way, outside)].set(True, mode="drop")
+    tested = jnp.sum(checks.num_checks, where=real)
+    return ValidityLabels(valid.reshape(num, num_slots), once.sum().astype(jnp.int32), tested)
 
 
 def for_each_edge(
