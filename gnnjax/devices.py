@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,29 +28,55 @@ def run_where_called() -> None:
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
-def over_problems(function: Callable, active: jax.Array, *args):
-    """Maps `function` over the leading axis of `args`; zeros where not `active`.
+_LEAST_SHARE = 16  # problems; fewer are not worth another thread
 
-    One problem after the other on a CPU, whose cores a single problem keeps busy; side by side on
-    an accelerator.
+
+class Share(NamedTuple):
+    """Problems that one thread plans on one device."""
+
+    device: Any  # of JAX
+    numbers: np.ndarray  # [n] of the problems
+
+
+def shares_of(num: int) -> list[Share]:
+    """Divides `num` problems among the devices of the process, or the cores of the only one where
+    that is a CPU.
     """
-    if jax.default_backend() != "cpu":
-        return jax.vmap(function)(*args)
-    blank = jax.eval_shape(function, *jax.tree.map(lambda x: x[0], args))
-
-    def one(turn):
-        wanted, *own = turn
-        return jax.lax.cond(
-            wanted,
-            lambda: function(*own),
-            lambda: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), blank),
-        )
-
-    return jax.lax.map(one, (active, *args))
+    devices = jax.local_devices()
+    if jax.default_backend() == "cpu" and len(devices) == 1:
+        devices = devices * num_cores()
+    count = max(1, min(len(devices), num // _LEAST_SHARE))
+    return [Share(devices[i], np.arange(i, num, count)) for i in range(count)]
 
 
-def map_first(function: Callable, num: jax.Array | int, args: Any) -> Any:
-    """Maps `function` over the first `num` rows of `args`; zeros beyond.
+def side_by_side(function: Callable[[Share], list], shares: list[Share]) -> list:
+    """Calls a function for each of some shares, each in a thread with its device as the default.
+
+    Args:
+        function: of a share, to a result for each of its problems.
+        shares: from `shares_of`.
+
+    Returns:
+        The results, in the order of the problems.
+    """
+
+    def call(share: Share) -> list:
+        with jax.default_device(share.device):
+            return function(share)
+
+    results: list = [None] * sum(len(share.numbers) for share in shares)
+    with ThreadPoolExecutor(len(shares)) as threads:
+        for share, found in zip(shares, threads.map(call, shares), strict=True):
+            for number, result in zip(share.numbers, found, strict=True):
+                results[number] = result
+    return results
+
+
+def map_first(
+    function: Callable, num: jax.Array | int, args: Any, rows: jax.Array | None = None
+) -> Any:
+    """Maps `function` over the first `num` rows of `args`, or over the first of `rows`; zeros, or
+    on an accelerator whatever comes out, elsewhere.
 
     One row after the other on a CPU, whose cores a single one keeps busy: what is compiled for a
     row, and so each bit of its result, is then the same however many rows there are. Side by side
@@ -60,6 +86,7 @@ def map_first(function: Callable, num: jax.Array | int, args: Any) -> Any:
         function: of one row.
         num: how many rows count; an array, or the compiler would unroll a single turn.
         args: a tree of arrays with B rows.
+        rows: which rows count.
     """
     if jax.default_backend() != "cpu":
         return jax.vmap(function)(args)
@@ -68,8 +95,9 @@ def map_first(function: Callable, num: jax.Array | int, args: Any) -> Any:
     blank = jax.eval_shape(function, jax.tree.map(lambda x: x[0], args))
 
     def one(i: jax.Array, results: Any) -> Any:
-        result = function(jax.tree.map(lambda x: x[i], args))
-        return jax.tree.map(lambda x, y: x.at[i].set(y), results, result)
+        row = i if rows is None else rows[i]
+        result = function(jax.tree.map(lambda x: x[row], args))
+        return jax.tree.map(lambda x, y: x.at[row].set(y), results, result)
 
     zeros = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), blank)
     return jax.lax.fori_loop(0, num, one, zeros)

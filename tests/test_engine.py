@@ -2,14 +2,20 @@
 
 import dataclasses
 import functools
+import os
+import pickle
+import subprocess
+import sys
 
 import jax
 import numpy as np
 import pytest
 
+from gnnjax import devices
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.planning.clock import Clock
+from gnnjax.planning.engine import Run
 from gnnjax.planning.options import make_options
 from gnnjax.planning.planner import make_planner
 from tests.test_guided_planner import check_path, one, random_problem, same
@@ -70,7 +76,7 @@ def test_the_field_guides_to_certified_paths(planner, problems, plans):
 @pytest.mark.parametrize("pool", [1, 2, 16])
 def test_plans_do_not_depend_on_who_shares_the_pool(planner, problems, plans, pool):
     # Twenty problems go through a pool of 16, or smaller ones, with refills.
-    assert same(planner._run(problems, 0, pool).run(), plans)
+    assert same(planner._run(problems, 0, pool, True).run(), plans)
 
 
 def test_plans_do_not_depend_on_the_order(planner, problems, plans):
@@ -86,6 +92,63 @@ def test_a_problem_that_is_none_leaves_the_others_alone(planner, problems, plans
     assert not found[3].success
     others = [i for i in range(NUM) if i != 3]
     assert same([found[i] for i in others], [plans[i] for i in others])
+
+
+def test_every_check_is_counted_once(planner, problems, monkeypatch):
+    counted, count = [], Run.count
+
+    def note(self, ids, outcome):
+        counted.append((outcome.num_checks.sum(), outcome.num_edges.sum(), len(ids) - len({*ids})))
+        count(self, ids, outcome)
+
+    monkeypatch.setattr(Run, "count", note)
+    monkeypatch.setattr(devices, "num_cores", lambda: 1)
+    more = dataclasses.replace(planner.options, max_roadmaps=4)
+    monkeypatch.setattr(planner, "options", more)
+    plans = planner.plan_batch(problems)
+    checks, edges, twice = np.sum(counted, axis=0)
+    assert checks == sum(plan.search_checks for plan in plans)
+    assert edges == sum(plan.edge_checks for plan in plans)
+    assert twice > 0  # several roadmaps of a problem were in the pool
+
+
+def test_a_batch_is_shared_out_over_devices_and_comes_out_the_same(
+    planner, problems, plans, tiny_path, tmp_path
+):
+    target = tmp_path / "plans.pkl"
+    with (tmp_path / "problems.pkl").open("wb") as file:
+        pickle.dump(problems, file)
+    code = f"""
+import pickle, jax
+from gnnjax import devices, load_planner
+devices._LEAST_SHARE = 4
+problems = pickle.load(open({str(tmp_path / "problems.pkl")!r}, "rb"))
+planner = load_planner({str(tiny_path)!r}, num_nodes=40, max_roadmaps=2)
+used = set()
+run = planner._run
+def spy(*args):
+    used.add(str(jax.config.jax_default_device))
+    return run(*args)
+planner._run = spy
+plans = planner.plan_batch(problems)
+pickle.dump((len(jax.local_devices()), sorted(used), plans), open({str(target)!r}, "wb"))
+"""
+    flags = "--xla_force_host_platform_device_count=2"
+    subprocess.run([sys.executable, "-c", code], env=os.environ | {"XLA_FLAGS": flags}, check=True)
+    with target.open("rb") as file:
+        num, used, found = pickle.load(file)
+    assert num == len(used) == 2
+    assert same(found, plans)
+
+
+def test_a_batch_is_shared_out_over_cores_and_comes_out_the_same(
+    planner, problems, plans, monkeypatch
+):
+    monkeypatch.setattr(devices, "num_cores", lambda: 3)
+    monkeypatch.setattr(devices, "_LEAST_SHARE", 5)
+    assert [len(share.numbers) for share in devices.shares_of(NUM)] == [7, 7, 6]
+    found = planner.plan_batch(problems)
+    assert same(found, plans)
 
 
 def test_more_effort_is_never_worse(planner, problems, plans, monkeypatch):

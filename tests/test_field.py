@@ -14,7 +14,7 @@ from gnnjax.collision.fused import moved_by_joint
 from gnnjax.guide.field import (
     CALIBRATION,
     SPACING,
-    _largest_in_cells,
+    _keys,
     _spheres,
     field_guide,
     margin_function,
@@ -291,17 +291,31 @@ def test_a_table_has_each_cell_of_an_edge_once_with_the_largest_radius_there():
     rng = np.random.default_rng(9)
     seen, radii = rng.integers(0, 9, (40, 5, 3)), np.array([0.2, 0.1, 0.3, 0.1, 0.2])
     seen[0] = 4  # all in one cell
-    cells, largest = _largest_in_cells(seen.astype(np.int32), radii)
+    keys, count = _keys(seen.astype(np.int32), radii)
+    distinct = np.array([0.3, 0.2, 0.1], np.float32)
+    cells, largest = keys // 3, distinct[keys % 3]
     plain = []
     for places in seen:
         best = {}
         for cell, radius in zip(places.ravel(), np.repeat(radii, 3), strict=True):
             best[cell] = max(radius, best.get(cell, 0.0))
         plain.append(sorted(best.items()))
-    assert cells.shape[1] == max(map(len, plain))
+    assert count.tolist() == list(map(len, plain))
+    assert keys.shape[1] == count.max()
     for row, (found, radius) in enumerate(zip(cells, largest, strict=True)):
         repeated = [plain[row][i % len(plain[row])] for i in range(cells.shape[1])]
         assert list(zip(found, radius, strict=True)) == [(c, np.float32(r)) for c, r in repeated]
+
+
+def test_tables_of_roadmaps_of_one_size_have_one_shape(robot, guide):
+    shapes = set()
+    for seed in range(3):
+        table = guide.tabulate(stored_roadmap(robot, 38, seed))
+        shapes.add(tuple(x.shape for x in table))
+        # The widest block first, and no edge that no block has.
+        assert (np.diff(table.width) <= 0).all()
+        assert int(table.edge.max()) <= table.width.size * table.keys.shape[2]
+    assert len(shapes) == 1
 
 
 def test_stored_prices_do_not_depend_on_the_batch(guide, table, readings, prices):

@@ -8,14 +8,21 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from gnnjax.collision.checker import EdgeChecks
+from gnnjax.devices import map_first
 from gnnjax.roadmap.graph import GOAL, START, connect
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge, nothing_known
 from gnnjax.search.lazy import lazy_search
-from gnnjax.search.rounds import Priced, cheapest_routes, learn, reprice
+from gnnjax.search.rounds import (
+    Priced,
+    cheapest_route,
+    keep_cheapest,
+    learn,
+    reprice,
+)
 
 NUM, NUM_NODES, SLOTS = 8, 50, 20
 
-find_routes = jax.jit(cheapest_routes)
+find_routes = jax.jit(lambda priced: map_first(cheapest_route, jnp.int32(NUM), priced))
 learn_all, reprice_all = jax.jit(jax.vmap(learn)), jax.jit(jax.vmap(reprice))
 
 
@@ -321,3 +328,57 @@ def test_a_closer_look_changes_the_prices_it_names_both_ways(priced):
     nothing = reprice_all(priced, routes, np.full((NUM, 4), -1), values)
     np.testing.assert_array_equal(nothing.price, priced.price)
     assert not nothing.judged.any()
+
+
+def test_a_search_may_leave_a_node_by_its_cheapest_edges_alone(partly_known):
+    kept = jax.jit(jax.vmap(lambda one: keep_cheapest(one, 6)))(partly_known)
+    fewer = 0
+    for p in range(NUM):
+        one, some = plain(partly_known, p), plain(kept, p)
+        blocked = ~one.roadmap.neighbor_mask | (one.known.status == INVALID)
+        cost = np.where(blocked, np.inf, one.roadmap.lengths + one.price)
+        for node in range(NUM_NODES):
+            wanted = np.argsort(cost[node], kind="stable")[:6]
+            wanted = wanted[np.isfinite(cost[node, wanted])]
+            fewer += np.isfinite(cost[node]).sum() > 6
+            usable = some.roadmap.neighbor_mask[node] & (some.known.status[node] != INVALID)
+            assert usable.sum() == len(wanted)
+            for ours, theirs in (
+                (some.roadmap.neighbors, one.roadmap.neighbors),
+                (some.roadmap.lengths, one.roadmap.lengths),
+                (some.price, one.price),
+                (some.judged, one.judged),
+                (some.known.status, one.known.status),
+            ):
+                np.testing.assert_array_equal(ours[node][usable], theirs[node][wanted])
+    assert fewer > 20
+    # What an edge's test taught is noted at its other end only where the edge is left there.
+    routes = find_routes(kept)
+    nodes, edges = random_findings(routes, np.random.default_rng(6))
+    found = learn_all(kept, routes, nodes, edges)
+    alone = 0
+    for p in range(NUM):
+        one, route = plain(kept, p), plain(routes, p)
+        status = np.array(one.known.status)
+        for step in np.flatnonzero(edges[p]):
+            near, far = route.path[step : step + 2]
+            status[near, route.slots[step]] = edges[p, step]
+            back = (one.roadmap.neighbors[far] == near) & one.roadmap.neighbor_mask[far]
+            status[far, back] = edges[p, step]
+            alone += not back.any()
+        np.testing.assert_array_equal(found.status[p], status)
+    assert alone > 0
+
+
+def test_a_path_of_too_many_nodes_is_none(monkeypatch):
+    num = 12
+    nodes = jnp.linspace(0, 1, num)[:, None]
+    nodes = jnp.concatenate([nodes[:1], nodes[-1:], nodes[1:-1]])  # the goal is node 1
+    line = connect(nodes, jnp.ones(num, bool), 0.1, 4)
+    price = jnp.zeros(line.neighbors.shape)
+    priced = Priced(line, price, price == 0, nothing_known(line))
+    assert int(cheapest_route(priced).num) == num
+    monkeypatch.setattr("gnnjax.search.rounds.MOST_STEPS", num - 1)
+    short = cheapest_route(priced)
+    assert int(short.num) == 0
+    assert not short.edge_unknown.any()

@@ -29,6 +29,8 @@ SPACING = 0.35  # rad (or m) between the places of a motion that are looked at
 CALIBRATION = (0.01, 0.012)
 _SPHERES_A_PASS = 8
 _BLOCK = 256  # places that are looked at at once
+_EDGES = 256  # of a stored roadmap, looked at at once
+_PADDED = 1024, 128  # what edges and cells of a table are padded to multiples of
 _PLACES = 4096  # configurations whose spheres are placed at once, for grids and tables
 
 
@@ -115,12 +117,14 @@ def margin_function(robot: Robot, grid: Grid) -> Callable[[jax.Array, jax.Array]
 class EdgeTable(NamedTuple):
     """What the edges of a stored roadmap come by, computed once an arm.
 
-    Spheres at neighbouring places are often in the same cell; of those, the largest counts.
+    Spheres at neighbouring places are often in the same cell; of those, the largest counts. Edges
+    are in blocks of `_EDGES`, those that come by most cells first. Sizes are padded, so that what
+    is compiled for one roadmap does for the next.
     """
 
-    cells: Int[Array, "E W"]  # repeated where an edge has fewer
-    radii: Float[Array, "E W"]  # m
-    edge: Int[Array, "N K"]  # of each slot; E on padding
+    keys: Int[Array, "G W E"]  # cell times number of radii, plus number of the radius
+    width: Int[Array, " G"]  # keys of the edges of a block; those of shorter ones are repeated
+    edge: Int[Array, "N K"]  # of each slot, counted over all blocks; none on padding
 
 
 def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
@@ -143,30 +147,45 @@ def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
         block = slice(at, at + _PLACES)
         seen[:, block] = _cells_of(grid, _compiled_centers(robot)(padded[block]))
     seen = seen[:, : len(places)].reshape(len(seen), len(first), len(fraction))
-    cells, radii = _largest_in_cells(np.moveaxis(seen, 1, 0), spheres.radii)
-    edge = np.where(roadmap.neighbor_mask, number[own, neighbors], len(first)).astype(np.int32)
-    return jax.tree.map(jnp.asarray, EdgeTable(cells, radii, edge))
+    keys, count = _keys(np.moveaxis(seen, 1, 0), spheres.radii)
+    order = np.argsort(-count, kind="stable")
+    blocks = -(-len(order) // _EDGES)
+    padded = [
+        -(-max(1, n) // m) * m for n, m in zip((len(order), keys.shape[1]), _PADDED, strict=True)
+    ]
+    table = np.zeros(padded, np.int32)
+    table[: len(order), : keys.shape[1]] = keys[order]
+    width = np.zeros(padded[0] // _EDGES, np.int32)
+    width[:blocks] = count[order][::_EDGES]
+    rank = np.empty(len(order) + 1, np.int32)
+    rank[order], rank[-1] = np.arange(len(order)), padded[0]
+    edge = rank[np.where(roadmap.neighbor_mask, number[own, neighbors], len(order))]
+    table = table.reshape(-1, _EDGES, padded[1]).swapaxes(1, 2)
+    return jax.tree.map(jnp.asarray, EdgeTable(table, width, edge))
 
 
-def _largest_in_cells(seen: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distinct cells of each edge, `[E W]` and from the first on again where an edge has
-    fewer, with the largest radius there, `[E W]`.
+def _keys(seen: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Keys `[E W]` of the distinct cells of each edge with the largest radius there, from the first
+    on again where an edge has fewer than others; and how many there are, `[E]`.
 
     Args:
         seen: `[E S F]` cells that spheres are in.
         radii: `[S]` m.
     """
-    distinct, level = np.unique(-radii, return_inverse=True)  # the largest first
-    keys = seen * np.int32(len(distinct)) + level[:, None].astype(np.int32)
+    distinct, number = _distinct(radii)
+    keys = seen * np.int32(len(distinct)) + number[:, None].astype(np.int32)
     keys = np.sort(keys.reshape(len(seen), math.prod(seen.shape[1:])), axis=1)
-    cells = keys // np.int32(len(distinct))
-    is_first = np.diff(cells, axis=1, prepend=-1) > 0
+    is_first = np.diff(keys // np.int32(len(distinct)), axis=1, prepend=-1) > 0
     count = is_first.sum(axis=1)
-    width = int(count.max(initial=1))
     begin = np.cumsum(count) - count
-    at = begin[:, None] + np.arange(width) % np.maximum(count, 1)[:, None]
-    kept = keys[is_first][at]
-    return kept // len(distinct), -distinct[kept % len(distinct)].astype(np.float32)
+    at = begin[:, None] + np.arange(count.max(initial=1)) % np.maximum(count, 1)[:, None]
+    return keys[is_first][at], count
+
+
+def _distinct(radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The radii there are, the largest first, and of each sphere the number of its own."""
+    distinct, number = np.unique(-radii, return_inverse=True)
+    return -distinct.astype(np.float32), number
 
 
 def field_guide(robot: Robot, cells: int = CELLS) -> Guide:
@@ -178,6 +197,7 @@ def field_guide(robot: Robot, cells: int = CELLS) -> Guide:
     """
     grid = reach_grid(robot, cells)
     field, margin = distance_field(grid), margin_function(robot, grid)
+    radii = jnp.asarray(_distinct(_spheres(robot).radii)[0])
 
     def price(weights: jax.Array, margins: jax.Array) -> jax.Array:
         return jax.nn.softplus((weights[0] - margins) / weights[1])
@@ -189,9 +209,10 @@ def field_guide(robot: Robot, cells: int = CELLS) -> Guide:
         def motions(
             starts: Float[Array, "E D"], ends: Float[Array, "E D"], most: int
         ) -> Float[Array, " E"]:
-            # Places of all motions in a row, as many as each needs, looked at block by block.
             length = jnp.linalg.norm(ends - starts, axis=-1)
             pieces = jnp.clip(jnp.ceil(length / SPACING), 1, most).astype(jnp.int32)
+
+            # Places of all motions in a row, as many as each needs, looked at block by block.
             last = jnp.cumsum(pieces + 1)
 
             def look(i: jax.Array, smallest: jax.Array) -> jax.Array:
@@ -215,12 +236,19 @@ def field_guide(robot: Robot, cells: int = CELLS) -> Guide:
         # The problems come last, so that a look-up reads a row of them at once: ten times faster.
         cells = readings.T
 
-        def look(i: jax.Array, smallest: jax.Array) -> jax.Array:
-            left = cells[table.cells[:, i]] - table.radii[:, i, None]
-            return jnp.where(left < smallest, left, smallest)
+        def block(g: jax.Array, margins: jax.Array) -> jax.Array:
+            def look(i: jax.Array, smallest: jax.Array) -> jax.Array:
+                key = table.keys[g, i]
+                left = cells[key // len(radii)] - radii[key % len(radii), None]
+                return jnp.where(left < smallest, left, smallest)
 
-        shape = len(table.cells), len(readings)
-        margins = jax.lax.fori_loop(0, table.cells.shape[1], look, jnp.full(shape, jnp.inf))
+            # Of few edges, so that what is smallest so far stays near the processor.
+            smallest = jnp.full((_EDGES, len(readings)), jnp.inf)
+            smallest = jax.lax.fori_loop(0, table.width[g], look, smallest)
+            return jax.lax.dynamic_update_slice(margins, smallest, (g * _EDGES, 0))
+
+        margins = jnp.full((table.width.size * _EDGES, len(readings)), jnp.inf)
+        margins = jax.lax.fori_loop(0, jnp.sum(table.width > 0), block, margins)
         edges = jnp.pad(price(weights, margins), ((0, 1), (0, 0)))
         return jnp.moveaxis(edges[table.edge], -1, 0)
 

@@ -43,7 +43,6 @@ _ROADMAPS_A_LEVEL, _MOST_ROUNDS = 4, 25
 class Kept:
     """What is known of a roadmap whose best path is too unlikely, for later."""
 
-    price: float  # nats, of that path
     number: int
     known: Knowledge
 
@@ -60,6 +59,7 @@ class Run(Progress):
         problems: Problem,
         seed: int,
         pool: int,
+        shares: int = 1,
     ):
         """Args:
         robot: the arm.
@@ -69,8 +69,9 @@ class Run(Progress):
         problems: `[P, ...]`, which `check_query` accepts.
         seed: of the roadmaps.
         pool: most problems on their way at once.
+        shares: runs that take place side by side.
         """
-        super().__init__(robot, problems)
+        super().__init__(robot, problems, shares)
         self.strategy, self.options = strategy, options
         self.tester, self.seed, self.pool = tester, seed, pool
         self.chunk = _CHUNKS[pool > 1]
@@ -92,17 +93,19 @@ class Run(Progress):
                 ids = self._open()
                 self.roadmaps[ids] += 1
                 self._attempt(ids, np.full(len(ids), number), self.strategy.give_up)
-            # No roadmap had a likely path: now the unlikely ones, the least unlikely first.
-            for kept in self.kept:
-                kept.sort(key=lambda one: one.price)
-            for turn in range(_ROADMAPS_A_LEVEL):
-                ids = np.array([i for i in self._open() if len(self.kept[i]) > turn], int)
-                again = [self.kept[i][turn] for i in ids]
-                numbers = np.array([one.number for one in again], int)
-                # The first roadmap is of another shape.
-                for group in (np.flatnonzero(numbers == 0), np.flatnonzero(numbers > 0)):
-                    known = [again[i].known for i in group]
-                    self._attempt(ids[group], numbers[group], np.inf, known)
+            # No roadmap had a likely path: now the unlikely ones, all that there are of a problem
+            # side by side. The first roadmap is of another shape.
+            for is_first in (True, False):
+                again = [
+                    (i, one)
+                    for i in self._open().tolist()
+                    for one in self.kept[i]
+                    if (one.number == 0) == is_first
+                ]
+                if again:
+                    ids, kept = zip(*again, strict=True)
+                    numbers = np.array([one.number for one in kept])
+                    self._attempt(np.array(ids), numbers, np.inf, [one.known for one in kept])
             self.kept = [[] for _ in every]
         return self.plans(
             [
@@ -160,7 +163,7 @@ class Run(Progress):
         """One roadmap for each of some problems, searched in a pool with refills.
 
         Args:
-            ids: problems.
+            ids: problems, some more than once.
             numbers: of their roadmaps; none is 0, or all are.
             max_price: nats; a roadmap whose best path is less likely is kept for later.
             known: of roadmaps that were kept.
@@ -224,7 +227,7 @@ class Run(Progress):
         live = np.flatnonzero(pool.ids >= 0)
         route, host = pool.route()
         slots.rounds[live] += 1
-        self.rounds[pool.ids[live]] += 1
+        np.add.at(self.rounds, pool.ids[live], 1)
         begin = self.spend(pool.ids[live], begin)
         live = self._leave(pool, slots, live, host, max_price)
         unjudged = host.unjudged[live].any(axis=1)
@@ -252,10 +255,9 @@ class Run(Progress):
         none = host.num[live] == 0
         # What is not priced for good is not dear yet.
         dear = ~none & (price > max_price) & ~host.unjudged[live].any(axis=1)
-        for row, nats in zip(live[dear], price[dear], strict=True):
-            self.kept[pool.ids[row]].append(
-                Kept(float(nats), int(slots.number[row]), pool.known(int(row)))
-            )
+        for row in live[dear]:
+            kept = Kept(int(slots.number[row]), pool.known(int(row)))
+            self.kept[pool.ids[row]].append(kept)
         gone = none | dear | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
         pool.ids[live[gone]] = -1
         return live[~gone]

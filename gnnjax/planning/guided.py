@@ -26,7 +26,7 @@ from gnnjax.roadmap.stored import (
     stored_roadmap,
 )
 from gnnjax.search.knowledge import UNKNOWN, ends_known
-from gnnjax.search.rounds import Priced
+from gnnjax.search.rounds import Priced, keep_cheapest
 from gnnjax.search.shorten import PATH_POINTS, shortened, spread_along
 
 # Most pieces that a motion is looked at in; the longest edge is that from start to goal.
@@ -36,6 +36,8 @@ JUDGED = 16  # edges of a path that are looked at in a round
 # nats; a roadmap whose best path is less likely to be free than e^-this waits until others were
 # tried.
 GIVE_UP = 4.0
+
+_SLOTS = 16  # edges that a search may leave a node by
 
 _local_offsets = jax.jit(local_offsets, static_argnums=1)
 _WIDE_NODES = (400, 600)
@@ -258,7 +260,8 @@ class Guided:
             jnp.where(is_straight, straight[:, None, None].astype(jnp.int8), UNKNOWN)
         )
         judged_edges = jnp.full(price.shape, judged)
-        return Priced(roadmaps, RISK_WEIGHT * price, judged_edges, known._replace(status=status))
+        priced = Priced(roadmaps, RISK_WEIGHT * price, judged_edges, known._replace(status=status))
+        return jax.vmap(lambda one: keep_cheapest(one, _SLOTS))(priced)
 
     @functools.partial(jax.jit, static_argnums=0)
     def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:

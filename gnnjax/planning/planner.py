@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.sequences import SequenceTester
-from gnnjax.devices import cache_compilations
+from gnnjax.devices import Share, cache_compilations, shares_of, side_by_side
 from gnnjax.errors import InputError, check_seed
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide
@@ -195,15 +195,29 @@ class GuidedPlanner(Planner):
     strategy: Guided
 
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
-        return self._run(problems, check_seed(seed), len(problems.start)).run()
+        check_seed(seed)
+        shares = shares_of(len(problems.start))
+
+        def plan(share: Share) -> list[Plan]:
+            own = jax.tree.map(lambda x: np.asarray(x)[share.numbers], problems)
+            return self._run(own, seed, len(share.numbers), axis_aligned, len(shares)).run()
+
+        # One rotated box in the batch, and all are taken for rotated.
+        axis_aligned = is_axis_aligned(problems.scene)
+        return side_by_side(plan, shares) if len(shares) > 1 else plan(shares[0])
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
-        self._run(self._at_home(scene, batch_size), 0, batch_size).warm_up()
+        # One after the other, or each would compile the same.
+        for share in shares_of(batch_size):
+            num = len(share.numbers)
+            with jax.default_device(share.device):
+                self._run(self._at_home(scene, num), 0, num, is_axis_aligned(scene)).warm_up()
 
-    def _run(self, problems: Problem, seed: int, pool: int) -> Run:
-        # One rotated box in the batch, and all are taken for rotated.
-        tester = self._tester(is_axis_aligned(problems.scene))
-        return Run(self.robot, self.strategy, self.options, tester, problems, seed, pool)
+    def _run(
+        self, problems: Problem, seed: int, pool: int, axis_aligned: bool, shares: int = 1
+    ) -> Run:
+        tester = self._tester(axis_aligned)
+        return Run(self.robot, self.strategy, self.options, tester, problems, seed, pool, shares)
 
     @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
     def _tester(self, axis_aligned: bool) -> SequenceTester:

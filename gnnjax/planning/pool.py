@@ -1,5 +1,6 @@
 """A pool of slots, each with a roadmap under lazy search."""
 
+import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -7,10 +8,11 @@ import jax
 import numpy as np
 
 from gnnjax.collision.sequences import Items, Outcome, SequenceTester
+from gnnjax.devices import map_first
 from gnnjax.planning.clock import Clock
 from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
-from gnnjax.search.rounds import Priced, Route, cheapest_routes, learn, reprice
+from gnnjax.search.rounds import Priced, Route, cheapest_route, learn, reprice
 
 _SIZES = (1, 16, 64, 256)  # slots; one compilation each
 
@@ -32,12 +34,40 @@ def in_chunks(rows: np.ndarray, size: int) -> Iterator[tuple[np.ndarray, np.ndar
         yield part, np.resize(part, size)
 
 
-_cheapest_routes = jax.jit(cheapest_routes)
-
-
 @jax.jit
-def _learn(priced: Priced, route: Route, nodes: jax.Array, edges: jax.Array) -> Knowledge:
-    return jax.vmap(learn)(priced, route, nodes, edges)
+def _cheapest_routes(priced: Priced, rows: jax.Array, num: jax.Array) -> Route:
+    return map_first(cheapest_route, num, priced, rows)
+
+
+@functools.partial(jax.jit, donate_argnums=0)
+def _learn(
+    known: Knowledge,
+    priced: Priced,
+    route: Route,
+    nodes: jax.Array,
+    edges: jax.Array,
+    rows: jax.Array,
+    num: jax.Array,
+) -> Knowledge:
+    """`learn` for the first `num` of some slots; the others know what they knew.
+
+    `priced` lacks what is known, which is written where it is.
+    """
+    own = priced, route, nodes, edges
+
+    def one(known: Knowledge, own: Any) -> Knowledge:
+        priced, *found = own
+        return learn(priced._replace(known=known), *found)
+
+    if jax.default_backend() != "cpu":
+        return jax.vmap(one)(known, own)
+
+    def turn(i: jax.Array, known: Knowledge) -> Knowledge:
+        row = rows[i]
+        news = one(*jax.tree.map(lambda x: x[row], (known, own)))
+        return jax.tree.map(lambda x, y: x.at[row].set(y), known, news)
+
+    return jax.lax.fori_loop(0, num, turn, known)
 
 
 @jax.jit
@@ -156,9 +186,14 @@ class Pool:
         self.ids, self.size = self.ids[kept], size
         return kept
 
+    def _live(self) -> tuple[np.ndarray, np.int32]:
+        """The slots that are not free, first of as many as there are; and how many."""
+        live = np.flatnonzero(self.ids >= 0)
+        return np.pad(live, (0, self.size - len(live))).astype(np.int32), np.int32(len(live))
+
     def route(self) -> tuple[Route, Route]:
-        """The cheapest path of every slot, on the device and on the host."""
-        route = self.clock.call(_cheapest_routes, self.priced)
+        """The cheapest path of every slot that is not free, on the device and on the host."""
+        route = self.clock.call(_cheapest_routes, self.priced, *self._live())
         return route, jax.tree.map(np.asarray, route)
 
     def test(self, host: Route, rows: np.ndarray, most_edges: np.ndarray | None = None) -> Tested:
@@ -174,7 +209,8 @@ class Pool:
     def learn(self, route: Route, nodes: np.ndarray, edges: np.ndarray) -> None:
         """Notes what came out."""
         assert self.priced is not None
-        known = self.clock.call(_learn, self.priced, route, nodes, edges)
+        known, rest = self.priced.known, self.priced._replace(known=None)
+        known = self.clock.call(_learn, known, rest, route, nodes, edges, *self._live())
         self.priced = self.priced._replace(known=known)
 
     def known(self, row: int) -> Knowledge:

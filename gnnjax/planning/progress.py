@@ -16,13 +16,14 @@ from gnnjax.search.rounds import Route
 class Progress:
     """P problems: the shortest certified paths so far, checks, and times."""
 
-    def __init__(self, robot: Robot, problems: Problem):
+    def __init__(self, robot: Robot, problems: Problem, shares: int = 1):
         """Args:
         robot: the arm.
         problems: `[P, ...]`.
+        shares: of a larger batch that are worked on side by side.
         """
         num = len(problems.start)
-        self.robot, self.clock = robot, Clock()
+        self.robot, self.clock, self._shares = robot, Clock(), shares
         self.problems = jax.tree.map(np.asarray, problems)
         self.paths: list[np.ndarray | None] = [None] * num
         self.sampling_checks = np.full(num, 2)  # start and goal
@@ -35,18 +36,19 @@ class Progress:
         return unsolved & (self.total_time <= time_limit)
 
     def spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
-        """Shares out the time since `begin` over those that were worked on; returns the time."""
+        """Shares out the time since `begin` over those that were worked on, some more than once;
+        returns the time."""
         now = self.clock.now()
-        share = (now - begin) / max(1, len(ids))
-        self.total_time[ids] += share
+        share = (now - begin) / max(1, len(ids)) / self._shares
+        np.add.at(self.total_time, ids, share)
         if planning:
-            self.planning_time[ids] += share
+            np.add.at(self.planning_time, ids, share)
         return now
 
     def count(self, ids: np.ndarray, outcome: Outcome) -> None:
         """Adds what tests of some problems cost."""
-        self.edge_checks[ids] += outcome.num_edges
-        self.search_checks[ids] += outcome.num_checks
+        np.add.at(self.edge_checks, ids, outcome.num_edges)
+        np.add.at(self.search_checks, ids, outcome.num_checks)
 
     def certify(self, ids: np.ndarray, paths: list[np.ndarray]) -> list[np.ndarray]:
         """Keeps paths that are certified and shorter than what there is.

@@ -14,7 +14,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import EdgeChecks, make_checker
-from gnnjax.devices import over_problems
+from gnnjax.devices import map_first
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import Plan
@@ -29,7 +29,8 @@ from gnnjax.search.knowledge import INVALID, SearchResult, unknown_edges
 class Compiled(NamedTuple):
     """A strategy's functions over P problems, compiled on their first call.
 
-    `propose`: `(key, problems, active)`; `search`: `(weights, roadmaps, scenes, status, active)`.
+    `propose`: `(key, problems, rows, num)`; `search`: `(weights, roadmaps, scenes, status, rows,
+    num)`; what is asked about are the first `num` of some rows.
     """
 
     propose: Callable
@@ -56,19 +57,22 @@ def compile_strategy(
         )
 
     @jax.jit
-    def propose(key: jax.Array, problems: Problem, active: jax.Array) -> SampledRoadmap:
+    def propose(
+        key: jax.Array, problems: Problem, rows: jax.Array, num: jax.Array
+    ) -> SampledRoadmap:
         def one(problem: Problem) -> SampledRoadmap:
             return strategy.propose(key, problem, checks_in(problem.scene))
 
-        return over_problems(one, active, problems)
+        return map_first(one, num, problems, rows)
 
     @jax.jit
-    def search(weights, roadmaps, scenes, status, active) -> tuple[SearchResult, jax.Array]:
-        def one(roadmap: Roadmap, scene: Scene, status: jax.Array):
+    def search(weights, roadmaps, scenes, status, rows, num) -> tuple[SearchResult, jax.Array]:
+        def one(turn: tuple[Roadmap, Scene, jax.Array]) -> tuple[SearchResult, jax.Array]:
+            roadmap, scene, status = turn
             found = strategy.search(weights, roadmap, scene, checks_in(scene), status)
             return found, roadmap.nodes[jnp.where(found.path >= 0, found.path, GOAL)]
 
-        return over_problems(one, active, roadmaps, scenes, status)
+        return map_first(one, num, (roadmaps, scenes, status), rows)
 
     return Compiled(propose, search)
 
@@ -122,7 +126,7 @@ class Walks(Progress):
         begin = self.clock.now()
         key = jax.random.fold_in(jax.random.key(self.seed), number)
         sampled = jax.block_until_ready(
-            self.clock.call(self.compiled.propose, key, self.problems, rows)
+            self.clock.call(self.compiled.propose, key, self.problems, *_first(rows))
         )
         self.spend(np.flatnonzero(rows), begin, planning=False)
         self.sampling_checks += np.where(rows, sampled.num_checks, 0)
@@ -159,9 +163,15 @@ class Walks(Progress):
                 roadmaps,
                 self.problems.scene,
                 status,
-                rows,
+                *_first(rows),
             )
         )
         self.edge_checks += np.where(rows, found.edge_checks, 0)
         self.search_checks += np.where(rows, found.configuration_checks, 0)
         return found, waypoints
+
+
+def _first(rows: np.ndarray) -> tuple[np.ndarray, np.int32]:
+    """The numbers of marked rows, first of as many as there are rows; and how many are marked."""
+    chosen = np.flatnonzero(rows)
+    return np.pad(chosen, (0, len(rows) - len(chosen))).astype(np.int32), np.int32(len(chosen))

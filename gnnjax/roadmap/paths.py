@@ -136,16 +136,28 @@ def next_slots(
     return jnp.argmin(edge_cost + cost[roadmap.neighbors], axis=1).astype(jnp.int32)
 
 
-def follow(roadmap: Roadmap, slots: Int[Array, " N"], cost: Float[Array, " N"]) -> Int[Array, " N"]:
+def follow(
+    roadmap: Roadmap,
+    slots: Int[Array, " N"],
+    cost: Float[Array, " N"],
+    most: int | None = None,
+) -> Int[Array, " T"]:
     """The nodes met on the way from the start to the goal along `slots`; -1 after the last.
 
     Only the start if the goal's cost-to-go there is infinite.
+
+    Args:
+        roadmap: N nodes.
+        slots: through which the way leaves each node.
+        cost: to the goal, from each node.
+        most: T, nodes that are followed; N by default.
     """
-    path = jnp.full(len(slots), -1, jnp.int32).at[0].set(START)
+    most = len(slots) if most is None else most
+    path = jnp.full(most, -1, jnp.int32).at[0].set(START)
 
     def walking(state):
         node, steps, _ = state
-        return (node != GOAL) & jnp.isfinite(cost[START]) & (steps < len(slots))
+        return (node != GOAL) & jnp.isfinite(cost[START]) & (steps < most)
 
     def step(state):
         node, steps, path = state

@@ -11,8 +11,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.roadmap.graph import GOAL, START, Roadmap
-from gnnjax.roadmap.paths import follow
+from gnnjax.roadmap.paths import cost_to_go, follow, next_slots
 from gnnjax.search.knowledge import INVALID, UNKNOWN, Knowledge
+
+MOST_STEPS = 128  # nodes of a path that is found; cheapest paths have a tenth
 
 
 class Priced(NamedTuple):
@@ -27,56 +29,56 @@ class Priced(NamedTuple):
 class Route(NamedTuple):
     """The cheapest path by what is known, step by step; step i leads from node i to node i + 1."""
 
-    path: Int[Array, "*batch N"]  # nodes; -1 after the last
-    slots: Int[Array, "*batch N"]  # through which the path leaves its nodes
-    points: Float[Array, "*batch N D"]  # configurations; the goal again after the last
+    path: Int[Array, "*batch T"]  # nodes; -1 after the last
+    slots: Int[Array, "*batch T"]  # through which the path leaves its nodes
+    points: Float[Array, "*batch T D"]  # configurations; the goal again after the last
     num: Int[Array, "*batch"]  # nodes on the path; 0 without one
-    node_unknown: Bool[Array, "*batch N"]
-    edge_unknown: Bool[Array, "*batch N"]
-    edge_price: Float[Array, "*batch N"]  # 0 where the edge is known
-    unjudged: Bool[Array, "*batch N"]
+    node_unknown: Bool[Array, "*batch T"]
+    edge_unknown: Bool[Array, "*batch T"]
+    edge_price: Float[Array, "*batch T"]  # 0 where the edge is known
+    unjudged: Bool[Array, "*batch T"]
 
 
-def cheapest_routes(priced: Priced) -> Route:
-    """The path that is cheapest by length and by the prices of what is not known.
+def keep_cheapest(priced: Priced, num_slots: int) -> Priced:
+    """Keeps of each node the slots whose edges are cheapest by length and price.
 
-    For a batch `[P]`: one flat look-up for all is twice as fast as one mapped over problems.
+    Edges that are dear from a node's view hardly ever come to be on a cheapest path, and a search
+    looks at all of them in every sweep. An edge may be left at one of its ends alone.
+
+    Args:
+        priced: N nodes with K slots.
+        num_slots: those that are kept; K if there are no more.
     """
     roadmap, (status, node_status) = priced.roadmap, priced.known
-    num, num_nodes, _ = status.shape
-    price = jnp.where(status == UNKNOWN, priced.price, 0.0)
-    blocked = (status == INVALID) | (node_status == INVALID)[..., None]
-    edge_cost = roadmap.lengths + price
-    edge_cost = jnp.where(blocked | ~roadmap.neighbor_mask, jnp.inf, edge_cost)
-    flat = roadmap.neighbors + (jnp.arange(num, dtype=jnp.int32) * num_nodes)[:, None, None]
+    blocked = ~roadmap.neighbor_mask | (status == INVALID)
+    cost = jnp.where(blocked, jnp.inf, roadmap.lengths + priced.price)
+    # Behind a barrier, as in `connect_where`.
+    _, kept = jax.lax.optimization_barrier(jax.lax.top_k(-cost, min(num_slots, cost.shape[1])))
 
-    def beyond(cost: jax.Array) -> jax.Array:
-        return edge_cost + cost.ravel()[flat]
+    def take(x: jax.Array) -> jax.Array:
+        return jnp.take_along_axis(x, kept, axis=1)
 
-    def sweep(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        cost, going_on = state
-        better = jnp.minimum(cost, jnp.min(beyond(cost), axis=-1))
-        # Those that are through wait: more sweeps for others must not change what is equally cheap.
-        better = jnp.where(going_on[:, None], better, cost)
-        # What is dearer than the start already is not on its way.
-        changed = (better < cost) & (better <= better[:, START, None])
-        return better, jnp.any(changed, axis=1)
-
-    first = jnp.full((num, num_nodes), jnp.inf).at[:, GOAL].set(0.0)
-    everyone = jnp.ones(num, bool)
-    cost, _ = jax.lax.while_loop(lambda state: jnp.any(state[1]), sweep, (first, everyone))
-    slots = jnp.argmin(beyond(cost), axis=-1).astype(jnp.int32)
-    path = jax.vmap(follow)(roadmap, slots, cost)
-    return jax.vmap(_route)(priced, price, path, slots)
+    roadmap = roadmap._replace(
+        neighbors=take(roadmap.neighbors),
+        neighbor_mask=take(roadmap.neighbor_mask),
+        lengths=take(roadmap.lengths),
+    )
+    known = Knowledge(take(status), node_status)
+    return Priced(roadmap, take(priced.price), take(priced.judged), known)
 
 
-def _route(
-    priced: Priced,
-    price: Float[Array, "N K"],
-    path: Int[Array, " N"],
-    slots: Int[Array, " N"],
-) -> Route:
+def cheapest_route(priced: Priced) -> Route:
+    """The path that is cheapest by length and by the prices of what is not known.
+
+    None where that has more than `MOST_STEPS` nodes.
+    """
     roadmap, (status, node_status) = priced.roadmap, priced.known
+    price = jnp.where(status == UNKNOWN, priced.price, 0.0)
+    blocked = (status == INVALID) | (node_status == INVALID)[:, None]
+    edge_cost = jnp.where(blocked, jnp.inf, roadmap.lengths + price)
+    cost = cost_to_go(roadmap, edge_cost, GOAL, START)
+    slots = next_slots(roadmap, edge_cost, cost)
+    path = follow(roadmap, slots, cost, min(MOST_STEPS, len(cost)))
     node = jnp.maximum(path, 0)
     slot = slots[node]
     arrives = jnp.any(path == GOAL)
@@ -96,21 +98,22 @@ def _route(
 
 
 def _both_ways(
-    roadmap: Roadmap, path: Int[Array, " N"], slots: Int[Array, " N"], wanted: Bool[Array, " N"]
+    roadmap: Roadmap, path: Int[Array, " T"], slots: Int[Array, " T"], wanted: Bool[Array, " T"]
 ) -> tuple[jax.Array, jax.Array]:
-    """Node and slot `[2 N]` of the edges of a path, from either end; node N where not wanted."""
-    num = len(path)
+    """Node and slot `[2 T]` of the edges of a path, from either end; node N where not wanted, or
+    where an end does without the edge."""
+    num = len(roadmap.nodes)
     near = jnp.maximum(path, 0)
     far = roadmap.neighbors[near, slots]
-    back = jnp.argmax(
-        (roadmap.neighbors[far] == near[:, None]) & roadmap.neighbor_mask[far], axis=1
-    )
-    node = jnp.concatenate([jnp.where(wanted, near, num), jnp.where(wanted, far, num)])
+    same = (roadmap.neighbors[far] == near[:, None]) & roadmap.neighbor_mask[far]
+    back = jnp.argmax(same, axis=1)
+    both = wanted & jnp.any(same, axis=1)
+    node = jnp.concatenate([jnp.where(wanted, near, num), jnp.where(both, far, num)])
     return node, jnp.concatenate([slots, back.astype(slots.dtype)])
 
 
 def learn(
-    priced: Priced, route: Route, nodes: Int8[Array, " N"], edges: Int8[Array, " N"]
+    priced: Priced, route: Route, nodes: Int8[Array, " T"], edges: Int8[Array, " T"]
 ) -> Knowledge:
     """What is known once the nodes and edges of a route were tested.
 
