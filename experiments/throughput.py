@@ -72,7 +72,7 @@ class ThroughputConfig(ExperimentConfig):
     if they are missing."""
     num_problems: int | None = None
     """Only the first so many problems."""
-    pools: tuple[int, ...] = (1, 16, 256, 1024)
+    pools: tuple[int, ...] = (1, 16, 256, 1024, 4096)
     """Problems that are planned at once."""
     singles: int = 200
     """Problems that a pool of one plans."""

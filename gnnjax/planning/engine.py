@@ -36,7 +36,7 @@ _STRAIGHT = 1024  # straight lines that are tested at once
 
 # Roadmaps that are tried in the hope of a likely path before unlikely ones are tested, and rounds
 # of a roadmap, at effort 1.
-_ROADMAPS_A_LEVEL, _MOST_ROUNDS = 4, 25
+_ROADMAPS_A_LEVEL, _MOST_ROUNDS = 4, 40
 
 
 @dataclasses.dataclass

@@ -47,7 +47,7 @@ class PlannerOptions:
     """Roadmaps to try before giving up; 1 is the paper's way."""
     effort: int = 1
     """For guided alone: how much is tried before giving up, in steps of four roadmaps (up to
-    max_roadmaps) and 25 rounds of search on each."""
+    max_roadmaps) and 40 rounds of search on each."""
     weights: Path | None = None
     """File of weights, folder of a checkpoint, or name of shipped weights; by default those for the
     planner. For guided: of a motion network (motion is shipped); by default the distance field of
