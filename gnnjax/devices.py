@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,23 +35,27 @@ _LEAST_SHARE = 16  # problems; fewer are not worth another thread
 class Share(NamedTuple):
     """Problems that one thread plans on one device."""
 
-    device: Any  # of JAX
+    device: Any  # of JAX; None: the only one
     numbers: np.ndarray  # [n] of the problems
+
+    def at_home(self) -> AbstractContextManager:
+        """Where its functions have to be called; what is compiled elsewhere is compiled anew."""
+        return nullcontext() if self.device is None else jax.default_device(self.device)
 
 
 def shares_of(num: int) -> list[Share]:
     """Divides `num` problems among the devices of the process, or the cores of the only one where
     that is a CPU.
     """
-    devices = jax.local_devices()
-    if jax.default_backend() == "cpu" and len(devices) == 1:
-        devices = devices * num_cores()
+    devices: list[Any] = jax.local_devices()
+    if len(devices) == 1:
+        devices = [None] * (num_cores() if jax.default_backend() == "cpu" else 1)
     count = max(1, min(len(devices), num // _LEAST_SHARE))
     return [Share(devices[i], np.arange(i, num, count)) for i in range(count)]
 
 
 def side_by_side(function: Callable[[Share], list], shares: list[Share]) -> list:
-    """Calls a function for each of some shares, each in a thread with its device as the default.
+    """Calls a function for each of some shares, on its device and, of several, in a thread.
 
     Args:
         function: of a share, to a result for each of its problems.
@@ -61,9 +66,11 @@ def side_by_side(function: Callable[[Share], list], shares: list[Share]) -> list
     """
 
     def call(share: Share) -> list:
-        with jax.default_device(share.device):
+        with share.at_home():
             return function(share)
 
+    if len(shares) == 1:
+        return call(shares[0])
     results: list = [None] * sum(len(share.numbers) for share in shares)
     with ThreadPoolExecutor(len(shares)) as threads:
         for share, found in zip(shares, threads.map(call, shares), strict=True):

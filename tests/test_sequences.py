@@ -262,7 +262,7 @@ def test_everything_is_compiled_beforehand(robot, scenes):
         return checker.check_each(*args)
 
     tester = SequenceTester(robot, checker._replace(check_each=check_each), EDGE_RESOLUTION)
-    tester.warm_up(scenes, 3, 30)
+    tester.warm_up(scenes, 3)
     assert traced == [(64, 3), (512, 3)]
     assert tester.computed == 0
     rng = np.random.default_rng(6)

@@ -55,14 +55,11 @@ class SequenceTester:
         self._resolution = resolution
         self.computed = 0  # configurations, with those that no sequential test would have needed
 
-    def warm_up(self, scenes: Scene, num_dof: int, most: int) -> None:
-        """Compiles what up to `most` sequences may need."""
-        for block in _BLOCKS:
+    def warm_up(self, scenes: Scene, num_dof: int) -> None:
+        """Compiles what testing in these scenes may need."""
+        for block in _blocks_for(scenes):
             zeros = np.zeros((block, num_dof), np.float32)
             jax.block_until_ready(self._check(scenes, np.zeros(block, np.int32), zeros))
-            # Stretches grow, so that even a lone sequence comes to the second size.
-            if block > _BLOCKS[0] and most * _FIRST_STRETCH <= block:
-                break
 
     def __call__(self, scenes: Scene, items: Items, num: int) -> Outcome:
         """Tests what is asked for.
@@ -133,13 +130,13 @@ class SequenceTester:
     def _test(self, scenes: Scene, owner: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Whether configurations `[B D]` are valid, each in the scene of its owner."""
         valid, begin = np.empty(len(q), bool), 0
-        parts = []
+        blocks, parts = _blocks_for(scenes), []
         while begin < len(q):
             left = len(q) - begin
-            block = next((b for b in _BLOCKS if left <= b), _BLOCKS[-1])
+            block = next((b for b in blocks if left <= b), blocks[-1])
             # Two calls of the middle size are less work than one that is mostly padding.
-            while block > _BLOCKS[0] and left <= block // 4:
-                block = _BLOCKS[_BLOCKS.index(block) - 1]
+            while block > blocks[0] and left <= block // 4:
+                block = blocks[blocks.index(block) - 1]
             end = min(begin + block, len(q))
             pad = begin + block - end
             rows = np.pad(q[begin:end], ((0, pad), (0, 0)))
@@ -150,6 +147,11 @@ class SequenceTester:
         for first, end, found in parts:  # all are on their way before the first is waited for
             valid[first:end] = np.asarray(found)[: end - first]
         return valid
+
+
+def _blocks_for(scenes: Scene) -> tuple[int, ...]:
+    """The blocks that configurations are tested in: few problems do without the large one."""
+    return _BLOCKS if len(scenes.mask) * _FIRST_STRETCH > _BLOCKS[1] else _BLOCKS[:2]
 
 
 def _count(sequence: np.ndarray, chosen: np.ndarray, num: int) -> np.ndarray:

@@ -118,7 +118,7 @@ class Run(Progress):
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
         num = len(self.paths)
-        self.tester.warm_up(self.scenes, self.robot.num_dof, num)
+        self.tester.warm_up(self.scenes, self.robot.num_dof)
         numbers = range(1 if self.options.sampled else min(2, self.options.max_roadmaps))
         for number in numbers:
             most = min(num, self.pool, self.strategy.most_slots(number))

@@ -15,7 +15,13 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.sequences import SequenceTester
-from gnnjax.devices import Share, cache_compilations, shares_of, side_by_side
+from gnnjax.devices import (
+    Share,
+    cache_compilations,
+    run_where_called,
+    shares_of,
+    side_by_side,
+)
 from gnnjax.errors import InputError, check_seed
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide
@@ -83,6 +89,7 @@ def make_planner(
     """The planner that options name; see `load_planner`."""
     check_options(options)
     cache_compilations()  # before a guide compiles
+    run_where_called()
     name = options.planner
     if guide is not None and name != "guided":
         raise InputError(f"a guide with planner {name!r}; only planner 'guided' takes one")
@@ -204,13 +211,13 @@ class GuidedPlanner(Planner):
 
         # One rotated box in the batch, and all are taken for rotated.
         axis_aligned = is_axis_aligned(problems.scene)
-        return side_by_side(plan, shares) if len(shares) > 1 else plan(shares[0])
+        return side_by_side(plan, shares)
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         # One after the other, or each would compile the same.
         for share in shares_of(batch_size):
             num = len(share.numbers)
-            with jax.default_device(share.device):
+            with share.at_home():
                 self._run(self._at_home(scene, num), 0, num, is_axis_aligned(scene)).warm_up()
 
     def _run(
