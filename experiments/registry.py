@@ -3,10 +3,12 @@
 from experiments import (
     ablation,
     arms,
+    calibrate_field,
     crossover,
     failures,
     figure5,
     figure7,
+    guides,
     hard,
     predictor,
     throughput,
@@ -24,6 +26,8 @@ EXPERIMENTS: dict[str, Experiment] = {
         failures,
         arms,
         predictor,
+        guides,
+        calibrate_field,
         ablation,
         throughput,
     )
