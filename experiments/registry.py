@@ -4,6 +4,7 @@ from experiments import (
     ablation,
     arms,
     calibrate_field,
+    converged,
     crossover,
     failures,
     figure5,
@@ -29,6 +30,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         guides,
         calibrate_field,
         ablation,
+        converged,
         throughput,
     )
 }

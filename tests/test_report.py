@@ -108,6 +108,18 @@ def dear_networks(results):
     results["check_operations"] = dict.fromkeys(results["check_operations"], 1000)
 
 
+def a_quick_network(results):
+    for row in results["rows"]:
+        if row["guide"] == "network":
+            row["shortened"]["hard"]["total_time_s"]["median"] = 1e-4
+
+
+def a_fit_that_pays(results):
+    for row in results["rows"]:
+        if row["kind"] == "plans" and row["calibration"] == "fitted, 24 cells":
+            row["to_hand"]["configuration_checks"] = {"mean": 0.85, "low": 0.8, "high": 0.9}
+
+
 def a_part_that_pays(results):
     for row in results["rows"]:
         if row["variant"] == "default without gat":
