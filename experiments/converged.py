@@ -1,4 +1,4 @@
-"""Claim: trained until its loss is flat, the paper's network adds nothing to the distance.
+"""Claim: trained until its loss hardly falls, the paper's network adds nothing to the distance.
 
     python -m experiments.converged
 
@@ -163,8 +163,8 @@ def verdict(results: Row) -> str:
 EXPERIMENT = Experiment(
     name="converged",
     title="The paper's network, trained to the end",
-    claim="Trained until its loss is flat, the paper's network adds nothing measurable to the "
-    "distance to the goal.",
+    claim="Trained until its loss hardly falls, the paper's network adds nothing measurable to "
+    "the distance to the goal.",
     config=ConvergedConfig,
     quick={
         "epochs": 1,

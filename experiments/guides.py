@@ -12,9 +12,9 @@ with the next one.
 
 Guides are also asked about the edges of the stored roadmap, in the first scenes of each set: those
 between free nodes, each once. Told is the area under the ROC curve, the log loss of exp(-price)
-as the probability that an edge is free, and what a lone scene's edges take, its reading included:
-priced one by one, and at once where a guide has a table of them. The oracle prices by checking and
-pays nothing for it but time; it bounds what any guide can do on these roadmaps.
+as the probability that an edge is free, and what a lone scene's edges take at least, its reading
+included: priced one by one, and at once where a guide has a table of them. The oracle prices by
+checking and pays nothing for it but time; it bounds what a guide can do on these roadmaps.
 """
 
 import dataclasses
@@ -61,7 +61,7 @@ class GuidesConfig(ExperimentConfig):
     """Problems of the test set."""
     families: tuple[str, ...] = tuple(FAMILIES)
     """Families of hard scenes."""
-    family_problems: int = 50
+    family_problems: int = 20
     """Problems of each family."""
     scenes: int = 15
     """Of each set, in which guides are asked about edges."""
