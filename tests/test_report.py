@@ -108,10 +108,12 @@ def dear_networks(results):
     results["check_operations"] = dict.fromkeys(results["check_operations"], 1000)
 
 
-def a_quick_network(results):
+def a_checkless_length(results):
+    fields = {row["set"]: row for row in results["rows"] if row["guide"] == "field"}
     for row in results["rows"]:
-        if row["guide"] == "network":
-            row["shortened"]["hard"]["total_time_s"]["median"] = 1e-4
+        if row["guide"] == "length":
+            field = fields[row["set"]]["shortened"]["hard"]["configuration_checks"]
+            row["shortened"]["hard"]["configuration_checks"]["mean"] = field["mean"] / 2
 
 
 def a_fit_that_pays(results):
@@ -146,8 +148,8 @@ def slow_in_a_pool(results):
         ("failures", no_dead_ends, "Holds in part: dead ends", "does not hold: dead ends"),
         ("arms", as_well_as_its_own, "1.20 (1.10 to 1.30) times", "Holds: "),
         ("converged", a_training_that_pays, "Holds: paper's", "not hold: paper's network"),
-        ("guides", a_quick_network, "BEFORE", "AFTER"),
-        ("calibrate_field", a_fit_that_pays, "BEFORE", "not hold: fitted, 24 cells"),
+        ("guides", a_checkless_length, "length alone takes 1.", "alone takes 0.50 times"),
+        ("calibrate_field", a_fit_that_pays, "Holds: fitted", "not hold: fitted, 24 cells"),
         ("predictor", dear_networks, "Holds: in pieces of 0.5 rad", "Does not hold: not every"),
         (
             "ablation",
