@@ -24,10 +24,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from experiments.cases import own_case
-from experiments.measure import measure, measure_problems, problem_set
+from experiments.measure import difference, measure, problem_set
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
-from experiments.statistics import BAND, column, statistics
+from experiments.statistics import BAND
 from experiments.tables import DETAIL, both, interval, listing, markdown
 from experiments.variants import (
     AblationConfig,
@@ -35,7 +35,7 @@ from experiments.variants import (
     num_weights,
     trained,
     training,
-    training_data,
+    training_set,
     variants,
 )
 from experiments.variants import command as training_command
@@ -63,7 +63,7 @@ def _rows(config: AblationConfig) -> Iterator[Row]:
     if config.quick:  # compiling all of them takes minutes
         chosen = dict(itertools.islice(chosen.items(), 2))
         del others["exact cost-to-go"]
-    data = training_data(config, robot)
+    data = training_set(config, robot, config.num_roadmaps, config.num_nodes)
     for name, changes in chosen.items():
         made = training(config, name, data, robot, changes)
         weights = trained(made)
@@ -74,26 +74,14 @@ def _rows(config: AblationConfig) -> Iterator[Row]:
             "last_epoch": read_metadata(weights)["training"]["log"][-1],
             "num_weights": num_weights(weights),
             **measure(config, cases[name]),
-            "difference": _difference(config, cases[name], cases[full_network(name)]),
+            "difference": difference(config, cases[name], cases[full_network(name)]),
         }
     for name, planner in others.items():
         yield {
             "variant": f"no network, {name}",
             **measure(config, case(planner)),
-            "difference": _difference(config, case(planner), cases["default"]),
+            "difference": difference(config, case(planner), cases["default"]),
         }
-
-
-def _difference(config: AblationConfig, ours: EvaluateConfig, full: EvaluateConfig) -> Row:
-    """How much more a planner needs than the full network, on the same problems and roadmaps."""
-    problems = [measure_problems(config, case) for case in (ours, full)]
-    valid = column(problems[0], lambda row: row["valid"]).astype(bool)
-    found = {}
-    for name in ("edge_checks", "success"):
-        # Invalid problems have no numbers.
-        ours_, full_ = (column(rows, lambda row, name=name: row[name] or 0) for rows in problems)
-        found[name] = statistics(ours_ - full_, valid)
-    return found
 
 
 PANELS = (

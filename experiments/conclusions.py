@@ -34,27 +34,24 @@ def lazy_checking(results: dict[str, Row]) -> list[Finding]:
 
 
 def paper_network(results: dict[str, Row]) -> list[Finding]:
-    """On the same roadmaps, one each, intervals of the network and of the distance overlap."""
-    figure5 = Measured(of_set(results["figure5"], "test"))
-    size = results["ablation"]["rows"][0]["settings"]["num_nodes"]
-    network = next(
-        row["summary"]["all"]
-        for row in figure5.rows
-        if (row["planner"], row["num_nodes"]) == ("gnn_paper", size)
-    )
-    distance = _variants(results)["no network, distance to the goal"]["summary"]["all"]
+    """On the same roadmaps, one each, intervals of the distance and of every training overlap."""
+    rows = results["converged"]["rows"]
+    settings, trainings = rows[0]["settings"], [row for row in rows if row["difference"]]
+    (distance,) = (row["summary"]["all"] for row in rows if not row["difference"])
+    networks = [row["summary"]["all"] for row in trainings]
     findings = [
         Finding(
-            _overlap(network[name], distance[name]),
-            f"{words} {interval(network[name], form, scale)} with it, "
-            f"{interval(distance[name], form, scale)} with the distance",
+            all(_overlap(network[name], distance[name]) for network in networks),
+            f"{words} {listing([interval(network[name], form, scale) for network in networks])} "
+            f"with it, {interval(distance[name], form, scale)} with the distance",
         )
         for name, words, form, scale in (
-            ("success", f"% solved at N = {size}, one roadmap", ".1f", 100),
+            ("success", f"% solved at N = {settings['num_nodes']}, one roadmap", ".1f", 100),
             ("edge_checks", "edge checks", ".1f", 1),
             ("cost", "cost", ".2f", 1),
         )
     ]
+    figure5 = Measured(of_set(results["figure5"], "test"))
     solved, stated = figure5.mean("gnn_paper", "success"), FIGURE5["gnn"]["success"]
     text = f"{100 * solved:.1f} % solved over all sizes, of the {100 * stated:.0f} % it states"
     return [*findings, Finding(solved < stated, text)]

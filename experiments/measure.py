@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.commands import command_line
-from experiments.statistics import summarize_seeds
+from experiments.statistics import column, statistics, summarize_seeds
 from gnnjax.arm.robot import load_robot
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
@@ -86,6 +86,18 @@ def measure(config: ExperimentConfig, case: EvaluateConfig) -> dict[str, Any]:
 def measure_problems(config: ExperimentConfig, case: EvaluateConfig) -> list[list[dict]]:
     """The same, problem by problem: rows of `gnnjax.evaluate`, a list a seed."""
     return [_run_seed(case, seed, config.runs)["problems"] for seed in config.seeds]
+
+
+def difference(config: ExperimentConfig, ours: EvaluateConfig, theirs: EvaluateConfig) -> Any:
+    """How much more edge checks and success a case has, on the same problems and roadmaps."""
+    problems = [measure_problems(config, case) for case in (ours, theirs)]
+    valid = column(problems[0], lambda row: row["valid"]).astype(bool)
+    found = {}
+    for name in ("edge_checks", "success"):
+        # Invalid problems have no numbers.
+        ours_, theirs_ = (column(rows, lambda row, name=name: row[name] or 0) for rows in problems)
+        found[name] = statistics(ours_ - theirs_, valid)
+    return found
 
 
 def _run_seed(case: EvaluateConfig, seed: int, runs: Path) -> dict[str, Any]:

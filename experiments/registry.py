@@ -3,10 +3,13 @@
 from experiments import (
     ablation,
     arms,
+    calibrate_field,
+    converged,
     crossover,
     failures,
     figure5,
     figure7,
+    guides,
     hard,
     predictor,
     throughput,
@@ -24,7 +27,10 @@ EXPERIMENTS: dict[str, Experiment] = {
         failures,
         arms,
         predictor,
+        guides,
+        calibrate_field,
         ablation,
+        converged,
         throughput,
     )
 }

@@ -56,10 +56,12 @@ def full_network(variant: str) -> str:
     return "paper's network" if variant.startswith("paper's") else "default"
 
 
-def training_data(config: AblationConfig, robot: str) -> Path:
-    """The folder of the training set, completed if it is not there."""
+def training_set(
+    config: ExperimentConfig, robot: str, num_problems: int | None, num_nodes: int
+) -> Path:
+    """The folder of the training set, completed if it is not there; a quick look's is small."""
     path = config.data / f"{Path(robot).stem}_train{'_quick' if config.quick else ''}"
-    small = {"num_problems": config.num_roadmaps, "num_nodes": config.num_nodes, "shard_size": 10}
+    small = {"num_problems": num_problems, "num_nodes": num_nodes, "shard_size": 10}
     return generate(GenerateConfig(robot=robot, out=path, **(small if config.quick else {})))
 
 
@@ -86,9 +88,9 @@ def training(
 
 
 def trained(config: TrainConfig) -> Path:
-    """The weights of a training, which runs if it has not."""
+    """The weights of a training, which runs, or goes on, if they are not there."""
     weights = config.out / "weights.safetensors"
-    return weights if weights.exists() else train(config)
+    return weights if weights.exists() else train(dataclasses.replace(config, resume=True))
 
 
 def num_weights(weights: Path) -> int:
@@ -98,4 +100,5 @@ def num_weights(weights: Path) -> int:
 
 def command(config: TrainConfig) -> str:
     """The command line of a training."""
-    return command_line(f"train --preset {config.preset}", config, PRESETS[config.preset])
+    preset = config.preset
+    return command_line(f"train --preset {preset}", config, PRESETS[preset], skip=["resume"])

@@ -1,11 +1,14 @@
-"""The ablation: its variants are what they are called, and a quick run measures and draws them."""
+"""Networks that are trained to be compared: variants are what they are called, and quick runs
+measure and draw them."""
 
+import copy
 import json
 
 import jax
 import numpy as np
 from flax import nnx
 
+from experiments import converged
 from experiments.ablation import EXPERIMENT
 from experiments.record import run
 from experiments.variants import AblationConfig, command, training, variants
@@ -91,3 +94,47 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
     monkeypatch.setattr("experiments.variants.train", None)
     run(EXPERIMENT, config)
     assert (config.out / "ablation.json").read_text() == first  # nothing was run again
+
+
+def test_the_longer_training_is_the_presets_but_for_epochs_and_seed():
+    config = converged.ConvergedConfig()
+    made = converged.training(config, "kuka_iiwa14", config.data / "kuka_iiwa14_train", 2)
+    assert command(made) == (
+        "python -m gnnjax.train --preset paper --out runs/converged/kuka_iiwa14_60epochs_seed2 "
+        "--seed 2 --epochs 60"
+    )
+
+
+def test_a_network_that_adds_nothing_is_found_out(tiny_path, tmp_path, monkeypatch):
+    folders = {key: tmp_path / key for key in ("data", "runs", "trained", "results")}
+    config = converged.ConvergedConfig(quick=True, robot=str(tiny_path), **folders)
+    planner = load_planner(tiny_path, "distance", num_nodes=30, max_roadmaps=1)
+    monkeypatch.setattr("experiments.measure.make_planner", lambda robot, options: planner)
+    trainings = []
+
+    def train(made):
+        """Training has tests of its own."""
+        trainings.append((made.preset, made.epochs, made.seed, made.resume))
+        assert (made.data / "manifest.json").exists()
+        network = GuidanceNetwork(num_dof=3, channels=made.channels, rngs=nnx.Rngs(0))
+        weights = made.out / "weights.safetensors"
+        made.out.mkdir(parents=True)
+        save_network(weights, network, {"log": [{"epoch": made.epochs, "loss": 0.79}]})
+        return weights
+
+    monkeypatch.setattr("experiments.variants.train", train)
+    results = run(converged.EXPERIMENT, config)
+    assert run(converged.EXPERIMENT, config) == results
+    assert trainings == [("paper", 1, 0, True)]
+    assert [row["variant"] for row in results["rows"]] == [
+        "distance to the goal",
+        "paper's network, training seed 0",
+    ]
+    # The stand-in is the distance itself.
+    assert results["rows"][1]["difference"]["edge_checks"]["mean"] == 0
+    assert "0.790" in converged.table(results)
+    assert (config.out / "converged.png").stat().st_size > 10_000
+    assert converged.verdict(results).startswith("Holds: paper's network, training seed 0 (loss")
+    better = copy.deepcopy(results)
+    better["rows"][1]["difference"]["success"] |= {"low": 0.01}
+    assert converged.verdict(better).startswith("Does not hold: ")
