@@ -151,6 +151,29 @@ def test_a_batch_is_shared_out_over_cores_and_comes_out_the_same(
     assert same(found, plans)
 
 
+def test_a_time_limit_acts_between_rounds(planner, problems, plans, monkeypatch):
+    hopeless = [i for i, plan in enumerate(plans) if not plan.success]
+    some = jax.tree.map(lambda x: x[hopeless], problems)
+    free = planner._run(some, 0, 16, True)
+    assert not any(plan.success for plan in free.run())
+    assert free.rounds.max() > 3
+
+    def spend(self, ids, begin, *, planning=True):
+        self.total_time[ids] += 1.0
+        return begin
+
+    monkeypatch.setattr(Run, "spend", spend)
+    monkeypatch.setattr(planner, "options", dataclasses.replace(planner.options, time_limit=8.0))
+    limited = planner._run(some, 0, 16, True)
+    for i, plan in enumerate(limited.run()):
+        assert not plan.success
+        assert limited.rounds[i] <= 8
+        if plan.total_time_s > 8:
+            assert "and 8 s are over; give it more time" in plan.reason
+    assert limited.rounds.sum() < free.rounds.sum() / 2
+    assert limited.total_time.max() > 8
+
+
 def test_more_effort_is_never_worse(planner, problems, plans, monkeypatch):
     options = dataclasses.replace(planner.options, effort=4, max_roadmaps=8)
     monkeypatch.setattr(planner, "options", options)

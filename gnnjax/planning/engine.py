@@ -107,13 +107,17 @@ class Run(Progress):
                     numbers = np.array([one.number for one in kept])
                     self._attempt(np.array(ids), numbers, np.inf, [one.known for one in kept])
             self.kept = [[] for _ in every]
-        return self.plans(
-            [
-                f"no path in the {roadmaps} roadmaps tried ({self.strategy.describe}), {rounds} "
-                "rounds; more effort may find one"
-                for roadmaps, rounds in zip(self.roadmaps, self.rounds, strict=True)
-            ]
+        return self.plans([self._reason(i) for i in range(len(every))])
+
+    def _reason(self, i: int) -> str:
+        """Why there is no path of a problem."""
+        tried = (
+            f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe}), "
+            f"{self.rounds[i]} rounds"
         )
+        if self.total_time[i] > self.options.time_limit:
+            return f"{tried}, and {self.options.time_limit:g} s are over; give it more time"
+        return f"{tried}; more effort may find one"
 
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
@@ -125,16 +129,12 @@ class Run(Progress):
             for size in sizes_up_to(most):
                 pool = Pool(size, self.clock, self.tester, self.scenes)
                 self._enter(pool, np.zeros(1, int), np.arange(1), np.arange(1), number, None)
-                self._go_through(pool)
-                if self.strategy.shorten and number == 0:
-                    rows = np.zeros(size, int)
-                    self._go_through(self.shortener.shortcuts(pool, rows, pool.route()[1]))
-
-    def _go_through(self, pool: Pool) -> None:
-        route, host = pool.route()
-        if jax.tree.leaves(pool.reading) and not self.strategy.is_judged:
-            self._judge(pool, np.zeros(1, int), route, host)
-        pool.learn(route, *np.zeros((2, *host.path.shape), np.int8))
+                route, host = pool.route()
+                if not self.strategy.is_judged:
+                    self._judge(pool, np.zeros(1, int), route, host)
+                pool.learn(route, *np.zeros((2, *host.path.shape), np.int8))
+                if self.strategy.shorten:
+                    self.shortener.shortcuts(pool, np.zeros(1, int), host)
 
     def _open(self) -> np.ndarray:
         return np.flatnonzero(self.open(self.options.time_limit))
@@ -246,7 +246,8 @@ class Run(Progress):
     def _leave(
         self, pool: Pool, slots: "_Slots", live: np.ndarray, host: Route, max_price: float
     ) -> np.ndarray:
-        """Frees the slots whose roadmaps have no path, or none that is likely enough.
+        """Frees the slots whose roadmaps have no path, or none that is likely enough, or whose
+        problems have no time left.
 
         Returns:
             The others.
@@ -258,7 +259,8 @@ class Run(Progress):
         for row in live[dear]:
             kept = Kept(int(slots.number[row]), pool.known(int(row)))
             self.kept[pool.ids[row]].append(kept)
-        gone = none | dear | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
+        late = self.total_time[pool.ids[live]] > self.options.time_limit
+        gone = none | dear | late | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
         pool.ids[live[gone]] = -1
         return live[~gone]
 

@@ -275,16 +275,17 @@ class Guided:
         return map_first(one, num, (readings, starts, ends))
 
     @functools.partial(jax.jit, static_argnums=0)
-    def shortcuts(self, weights, readings, lines: jax.Array, num) -> Priced:
-        """Path roadmaps of paths `[B N D]` that are shortened in the guide's eyes, priced."""
+    def shortcuts(self, weights, readings, lines: jax.Array, num) -> tuple[jax.Array, jax.Array]:
+        """Points `[B V D]` of paths `[B N D]` that are shortened in the guide's eyes, and prices
+        `[B V V]` of the motions between them, rad."""
 
-        def one(turn: tuple[Any, jax.Array]) -> Priced:
+        def one(turn: tuple[Any, jax.Array]) -> tuple[jax.Array, jax.Array]:
             reading, line = turn
             motions = self.guide.prices(weights, reading).motions
             roadmap, price = shortened(
                 spread_along(line, PATH_POINTS),
                 lambda a, b: RISK_WEIGHT * motions(a, b, SHORTCUT_PIECES),
             )
-            return Priced(roadmap, price, jnp.ones(price.shape, bool), ends_known(roadmap))
+            return roadmap.nodes, price
 
         return map_first(one, num, (readings, lines))

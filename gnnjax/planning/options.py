@@ -65,7 +65,7 @@ class PlannerOptions:
     resolution: float = EDGE_RESOLUTION
     """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
     time_limit: float = np.inf
-    """Seconds after which no further roadmap is begun."""
+    """Seconds after which no further round is begun, or, but for guided, no further roadmap."""
 
     @property
     def is_classical(self) -> bool:

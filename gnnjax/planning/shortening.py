@@ -1,14 +1,16 @@
 """Shortens the paths of a pool in the guide's eyes, and checks what comes out."""
 
-import jax
+from typing import NamedTuple
+
 import numpy as np
 
 from gnnjax.collision.sequences import SequenceTester
 from gnnjax.planning.guided import Guided
-from gnnjax.planning.pool import Pool, in_chunks, size_for, take
+from gnnjax.planning.pool import Pool, in_chunks, take
 from gnnjax.planning.progress import Progress
+from gnnjax.roadmap.graph import GOAL, START
 from gnnjax.scene.scene import Scene
-from gnnjax.search.knowledge import UNKNOWN
+from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID
 from gnnjax.search.rounds import Route
 
 _MOST_SHORTCUTS = 8  # edges; what needs more is hardly ever free
@@ -44,8 +46,7 @@ class Shortener:
         progress = self.progress
         begin = progress.clock.now()
         inner = self.shortcuts(pool, rows, host)
-        num = inner.size
-        asked, own, kept = np.zeros(num, int), np.arange(num), np.zeros(len(rows), bool)
+        asked, kept = np.zeros(len(rows), int), np.zeros(len(rows), bool)
         begin = progress.spend(pool.ids[rows], begin)
         while (inner.ids >= 0).any():
             live = np.flatnonzero(inner.ids >= 0)
@@ -67,28 +68,106 @@ class Shortener:
             ids = inner.ids[through]
             through = through[progress.certify_routes(ids, through, found, tested.edges)]
             begin = progress.spend(ids, begin)
-            kept[own[through]], inner.ids[through] = True, -1
+            kept[through], inner.ids[through] = True, -1
             if (inner.ids >= 0).any():
                 inner.learn(route, tested.nodes, tested.edges)
-                if inner.is_wide():
-                    left = inner.shrink()
-                    asked, own = asked[left], own[left]
         return kept
 
-    def shortcuts(self, pool: Pool, rows: np.ndarray, host: Route) -> Pool:
+    def shortcuts(self, pool: Pool, rows: np.ndarray, host: Route) -> "PathPool":
         """The path roadmaps of the paths of some slots, in a pool of their own."""
-        clock = self.progress.clock
-        inner = Pool(size_for(len(rows)), clock, self.tester, self.scenes)
-        for part, padded in in_chunks(np.arange(len(rows)), self.chunk):
-            padded = rows[padded]
+        clock, parts = self.progress.clock, []
+        for part, padded in in_chunks(rows, self.chunk):
             readings = clock.call(take, pool.reading, padded)
-            priced = clock.call(
+            found = clock.call(
                 self.strategy.shortcuts,
                 self.strategy.weights,
                 readings,
                 host.points[padded],
                 np.int32(len(part)),
             )
-            inner.enter(part, pool.ids[rows[part]], priced, ())
-        jax.block_until_ready(inner.priced)
-        return inner
+            parts.append([np.asarray(x)[: len(part)] for x in found])
+        points, price = (np.concatenate(x) for x in zip(*parts, strict=True))
+        return PathPool(pool, pool.ids[rows].copy(), points, price)
+
+
+class _Known(NamedTuple):
+    """What is known of the path roadmaps of S paths."""
+
+    status: np.ndarray  # [S V V] int8
+    node_status: np.ndarray  # [S V] int8
+
+
+class PathPool(Pool):
+    """Path roadmaps, whose few points are joined all to all. They are searched on the host, where
+    that takes less than calling a compiled function.
+    """
+
+    def __init__(self, pool: Pool, ids: np.ndarray, points: np.ndarray, price: np.ndarray):
+        """Args:
+        pool: of the paths.
+        ids: `[S]` of their problems.
+        points: `[S V D]`, from `shortened`.
+        price: `[S V V]` rad.
+        """
+        super().__init__(len(ids), pool.clock, pool.tester, pool.scenes)
+        num, num_points = points.shape[:2]
+        self.ids, self._points, self._price = ids, points, price
+        self._lengths = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+        nodes = np.full((num, num_points), UNKNOWN, np.int8)
+        nodes[:, [START, GOAL]] = VALID
+        self._known = _Known(np.full(price.shape, UNKNOWN, np.int8), nodes)
+
+    def is_wide(self) -> bool:
+        return False
+
+    def route(self) -> tuple[Route, Route]:
+        rows = np.flatnonzero(self.ids >= 0)
+        every = np.arange(len(rows))[:, None]
+        status, node_status = (x[rows] for x in self._known)
+        num_points = node_status.shape[1]
+        price = np.where(status == UNKNOWN, self._price[rows], np.float32(0))
+        blocked = (status == INVALID) | (node_status == INVALID)[:, :, None]
+        blocked |= np.eye(num_points, dtype=bool)
+        edge_cost = np.where(blocked, np.float32(np.inf), self._lengths[rows] + price)
+        cost = np.full(node_status.shape, np.inf, np.float32)
+        cost[:, GOAL] = 0
+        for _ in range(num_points):
+            beyond = edge_cost + cost[:, None]
+            better = np.minimum(cost, beyond.min(axis=2))
+            if (better == cost).all():
+                break
+            cost = better
+        following = (edge_cost + cost[:, None]).argmin(axis=2)
+        path = np.full(cost.shape, -1)
+        path[:, 0] = node = np.full(len(rows), START)
+        for step in range(1, num_points):
+            going = np.isfinite(cost[:, START]) & (node != GOAL)
+            node = np.where(going, following[every[:, 0], node], node)
+            path[going, step] = node[going]
+        on_path = (path >= 0) & (path == GOAL).any(axis=1)[:, None]
+        near = np.maximum(path, 0)
+        slots = following[every, near]
+        edge_unknown = on_path & (path != GOAL) & (status[every, near, slots] == UNKNOWN)
+        found = Route(
+            path=path,
+            slots=slots,
+            points=self._points[rows[:, None], np.where(path >= 0, path, GOAL)],
+            num=on_path.sum(axis=1),
+            node_unknown=on_path & (node_status[every, near] == UNKNOWN),
+            edge_unknown=edge_unknown,
+            edge_price=np.where(edge_unknown, price[every, near, slots], np.float32(0)),
+            unjudged=np.zeros_like(edge_unknown),
+        )
+        route = Route(*(np.zeros((self.size, *x.shape[1:]), x.dtype) for x in found))
+        for whole, part in zip(route, found, strict=True):
+            whole[rows] = part
+        return route, route
+
+    def learn(self, route: Route, nodes: np.ndarray, edges: np.ndarray) -> None:
+        path, (status, node_status) = np.asarray(route.path), self._known
+        row, step = np.nonzero(nodes != UNKNOWN)
+        node_status[row, path[row, step]] = nodes[row, step]
+        row, step = np.nonzero(edges != UNKNOWN)
+        ends = path[row, step], path[row, step + 1]
+        for near, far in (ends, ends[::-1]):
+            status[row, near, far] = edges[row, step]
