@@ -23,6 +23,7 @@ from gnnjax.plan import main as plan_once
 from gnnjax.planning.options import PlannerOptions, make_options
 from gnnjax.planning.planner import Planner, load_planner, make_planner
 from gnnjax.problems.problem import Problem
+from gnnjax.roadmap.graph import default_slots, node_bucket
 from gnnjax.roadmap.stored import insert_ends, stored_roadmap
 from gnnjax.scene.scene import make_scene
 from tests.fine_scan import collides_anywhere
@@ -193,9 +194,18 @@ def test_other_weights_take_effect_and_nothing_is_compiled_again(planner, networ
     assert [f._cache_size() for f in functions] == sizes
 
 
-def test_roadmaps_of_tested_nodes_and_paths_as_they_are(robot, network, problems):
+def test_roadmaps_of_tested_nodes_and_paths_as_they_are(robot, network, problems, monkeypatch):
     planner = make(robot, network, shorten=False, sampled=True)
+    slots, enter = [], planner.strategy.enter
+
+    def note(*args):
+        entered = enter(*args)
+        slots.append(entered.priced.price.shape[-1])
+        return entered
+
+    monkeypatch.setattr(planner.strategy, "enter", note)
     found = planner.plan_batch(problems)
+    assert set(slots) == {default_slots(node_bucket(NUM_NODES))}  # all edges are searched
     assert sum(plan.success for plan in found) >= 5
     assert not found[-1].success
     nodes = 0

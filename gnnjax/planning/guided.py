@@ -261,7 +261,8 @@ class Guided:
         )
         judged_edges = jnp.full(price.shape, judged)
         priced = Priced(roadmaps, RISK_WEIGHT * price, judged_edges, known._replace(status=status))
-        return jax.vmap(lambda one: keep_cheapest(one, _SLOTS))(priced)
+        # On checked nodes searches are compared, so that all of them need all edges.
+        return priced if nodes_checked else jax.vmap(lambda x: keep_cheapest(x, _SLOTS))(priced)
 
     @functools.partial(jax.jit, static_argnums=0)
     def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
