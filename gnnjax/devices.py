@@ -80,10 +80,14 @@ def side_by_side(function: Callable[[Share], list], shares: list[Share]) -> list
 
 
 def map_first(
-    function: Callable, num: jax.Array | int, args: Any, rows: jax.Array | None = None
+    function: Callable,
+    num: jax.Array | int,
+    args: Any,
+    rows: jax.Array | None = None,
+    into: Any = None,
 ) -> Any:
     """Maps `function` over the first `num` rows of `args`, or over the first of `rows`; zeros, or
-    on an accelerator whatever comes out, elsewhere.
+    what is in `into`, or on an accelerator whatever comes out, elsewhere.
 
     One row after the other on a CPU, whose cores a single one keeps busy: what is compiled for a
     row, and so each bit of its result, is then the same however many rows there are. Side by side
@@ -94,20 +98,22 @@ def map_first(
         num: how many rows count; an array, or the compiler would unroll a single turn.
         args: a tree of arrays with B rows.
         rows: which rows count.
+        into: a tree of results with B rows, which are replaced.
     """
     if jax.default_backend() != "cpu":
         return jax.vmap(function)(args)
     function = jax.jit(function, inline=True)  # traced once for both uses
-    size = len(jax.tree.leaves(args)[0])
-    blank = jax.eval_shape(function, jax.tree.map(lambda x: x[0], args))
+    if into is None:
+        size = len(jax.tree.leaves(args)[0])
+        blank = jax.eval_shape(function, jax.tree.map(lambda x: x[0], args))
+        into = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), blank)
 
     def one(i: jax.Array, results: Any) -> Any:
         row = i if rows is None else rows[i]
         result = function(jax.tree.map(lambda x: x[row], args))
         return jax.tree.map(lambda x, y: x.at[row].set(y), results, result)
 
-    zeros = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), blank)
-    return jax.lax.fori_loop(0, num, one, zeros)
+    return jax.lax.fori_loop(0, num, one, into)
 
 
 def num_cores() -> int:

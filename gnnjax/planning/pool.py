@@ -53,21 +53,12 @@ def _learn(
 
     `priced` lacks what is known, which is written where it is.
     """
-    own = priced, route, nodes, edges
 
-    def one(known: Knowledge, own: Any) -> Knowledge:
-        priced, *found = own
+    def one(own: tuple[Knowledge, Priced, Route, jax.Array, jax.Array]) -> Knowledge:
+        known, priced, *found = own
         return learn(priced._replace(known=known), *found)
 
-    if jax.default_backend() != "cpu":
-        return jax.vmap(one)(known, own)
-
-    def turn(i: jax.Array, known: Knowledge) -> Knowledge:
-        row = rows[i]
-        news = one(*jax.tree.map(lambda x: x[row], (known, own)))
-        return jax.tree.map(lambda x, y: x.at[row].set(y), known, news)
-
-    return jax.lax.fori_loop(0, num, turn, known)
+    return map_first(one, num, (known, priced, route, nodes, edges), rows, into=known)
 
 
 @jax.jit
