@@ -20,7 +20,6 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.baselines.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.collision.certify import certify_path
-from gnnjax.devices import cache_compilations, run_where_called
 from gnnjax.errors import InputError
 from gnnjax.planning.options import PlannerOptions, check_options
 from gnnjax.planning.query import Plan
@@ -62,8 +61,6 @@ class ClassicalPlanner:
                 f"OMPL {importlib.metadata.version('ompl')} has no planner {options.planner!r}; "
                 "OMPL 1.7.0 has it, in a virtual environment of its own (docs/ompl.md)"
             )
-        cache_compilations()
-        run_where_called()
         self.robot, self.options = robot, options
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
