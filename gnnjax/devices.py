@@ -116,6 +116,19 @@ def map_first(
     return jax.lax.fori_loop(0, num, one, into)
 
 
+def marked_first(marked: np.ndarray) -> tuple[np.ndarray, np.int32]:
+    """The `rows` and `num` that `map_first` takes for the marked ones of B rows.
+
+    Args:
+        marked: `[B]` bool.
+
+    Returns:
+        `[B]` the numbers of those that are marked, padded; and how many they are.
+    """
+    chosen = np.flatnonzero(marked)
+    return np.pad(chosen, (0, len(marked) - len(chosen))).astype(np.int32), np.int32(len(chosen))
+
+
 def num_cores() -> int:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from gnnjax.collision.sequences import Items, Outcome, SequenceTester
-from gnnjax.devices import map_first
+from gnnjax.devices import map_first, marked_first
 from gnnjax.planning.clock import Clock
 from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
@@ -177,14 +177,9 @@ class Pool:
         self.ids, self.size = self.ids[kept], size
         return kept
 
-    def _live(self) -> tuple[np.ndarray, np.int32]:
-        """The slots that are not free, first of as many as there are; and how many."""
-        live = np.flatnonzero(self.ids >= 0)
-        return np.pad(live, (0, self.size - len(live))).astype(np.int32), np.int32(len(live))
-
     def route(self) -> tuple[Route, Route]:
         """The cheapest path of every slot that is not free, on the device and on the host."""
-        route = self.clock.call(_cheapest_routes, self.priced, *self._live())
+        route = self.clock.call(_cheapest_routes, self.priced, *marked_first(self.ids >= 0))
         return route, jax.tree.map(np.asarray, route)
 
     def test(self, host: Route, rows: np.ndarray, most_edges: np.ndarray | None = None) -> Tested:
@@ -201,7 +196,9 @@ class Pool:
         """Notes what came out."""
         assert self.priced is not None
         known, rest = self.priced.known, self.priced._replace(known=None)
-        known = self.clock.call(_learn, known, rest, route, nodes, edges, *self._live())
+        known = self.clock.call(
+            _learn, known, rest, route, nodes, edges, *marked_first(self.ids >= 0)
+        )
         self.priced = self.priced._replace(known=known)
 
     def known(self, row: int) -> Knowledge:

@@ -14,7 +14,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import EdgeChecks, make_checker
-from gnnjax.devices import map_first
+from gnnjax.devices import map_first, marked_first
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import Plan
@@ -126,7 +126,7 @@ class Walks(Progress):
         begin = self.clock.now()
         key = jax.random.fold_in(jax.random.key(self.seed), number)
         sampled = jax.block_until_ready(
-            self.clock.call(self.compiled.propose, key, self.problems, *_first(rows))
+            self.clock.call(self.compiled.propose, key, self.problems, *marked_first(rows))
         )
         self.spend(np.flatnonzero(rows), begin, planning=False)
         self.sampling_checks += np.where(rows, sampled.num_checks, 0)
@@ -163,15 +163,9 @@ class Walks(Progress):
                 roadmaps,
                 self.problems.scene,
                 status,
-                *_first(rows),
+                *marked_first(rows),
             )
         )
         self.edge_checks += np.where(rows, found.edge_checks, 0)
         self.search_checks += np.where(rows, found.configuration_checks, 0)
         return found, waypoints
-
-
-def _first(rows: np.ndarray) -> tuple[np.ndarray, np.int32]:
-    """The numbers of marked rows, first of as many as there are rows; and how many are marked."""
-    chosen = np.flatnonzero(rows)
-    return np.pad(chosen, (0, len(rows) - len(chosen))).astype(np.int32), np.int32(len(chosen))
