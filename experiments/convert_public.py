@@ -19,7 +19,7 @@ import tyro
 from gnnjax.errors import InputError, run_command
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import box_scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +74,7 @@ def problems_of(entries: Sequence[Any], source: Path) -> Problem:
     half_extents[mask], centers[mask] = np.concatenate(boxes).swapaxes(0, 1)
     quats = np.tile(np.array([1, 0, 0, 0], np.float32), (*mask.shape, 1))
     starts, goals = np.stack(ends, axis=1)
-    return Problem(starts, goals, Scene(centers, half_extents, quats, mask))
+    return Problem(starts, goals, box_scene(centers, half_extents, quats, mask))
 
 
 def read_pickle(path: Path) -> Any:

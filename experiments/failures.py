@@ -36,7 +36,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.paper.occupancy import occupancy_grid
 from gnnjax.problems.shards import load_problems
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import Scene, box_scene
 from gnnjax.training.weights import load_network
 
 PLANNERS = ("guided", "guided_sampled", "gnn_paper", "gnn", "gnn_lazy", "distance")
@@ -118,7 +118,7 @@ def ends_in_voxels(path: Path, robot_name: str, num_problems: int) -> np.ndarray
 
     @jax.jit
     def free(scene: Scene, ends: jax.Array) -> jax.Array:
-        voxels = Scene(
+        voxels = box_scene(
             jnp.asarray(centers),
             jnp.broadcast_to(jnp.asarray(voxel / 2, jnp.float32), centers.shape),
             jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (len(centers), 1)),

@@ -31,9 +31,10 @@ from gnnjax.scene.scene import (
     make_scene,
     pad_scene,
     sample_scene,
-    scene_from_json,
-    scene_to_json,
+    scene_from_shapes,
 )
+from gnnjax.scene.scene_file import scene_from_json, scene_to_json
+from gnnjax.scene.shapes import Shape, box, capsule, cylinder, half_space, sphere
 from gnnjax.search.greedy import Scorer, greedy_search
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search
@@ -59,17 +60,22 @@ __all__ = [
     "Scene",
     "Scorer",
     "SearchResult",
+    "Shape",
     "Strategy",
+    "box",
     "boxes_clear",
+    "capsule",
     "certify_edges",
     "certify_path",
     "connect",
     "cost_to_go",
+    "cylinder",
     "default_radius",
     "edge_validity",
     "field_guide",
     "forward_kinematics",
     "greedy_search",
+    "half_space",
     "label_roadmap",
     "lazy_search",
     "load_network",
@@ -89,6 +95,8 @@ __all__ = [
     "save_network",
     "save_problems",
     "scene_from_json",
+    "scene_from_shapes",
     "scene_to_json",
+    "sphere",
     "stored_roadmap",
 ]

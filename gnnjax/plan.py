@@ -11,7 +11,7 @@ from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import own_planner
-from gnnjax.scene.scene import scene_from_json
+from gnnjax.scene.scene_file import scene_from_json
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -14,13 +14,13 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.scene import Scene, rotation_matrices
-from gnnjax.scene.shapes import for_every_kind
+from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
 
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
 def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> None:
-    """Draws boxes and the arm along a path, from start (blue) to goal (red), into a picture file.
+    """Draws obstacles and the arm along a path, from start (blue) to goal (red), into a picture.
 
     Drawn by matplotlib alone, which needs no display and no OpenGL.
 
@@ -40,8 +40,7 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
     bodies = robot.geom_bodies[geoms]
     for column, azimuth in enumerate((-60, 30), start=1):
         axes = figure.add_subplot(1, 2, column, projection="3d", computed_zorder=True)
-        for draw in _DRAW.values():
-            draw(axes, scene)
+        _draw_obstacles(axes, scene)
         axes.plot(*tip.T, color="black", linewidth=1.2, linestyle=":")
         for shot, color in enumerate(colors):
             at_end = shot in (0, len(shots) - 1)
@@ -81,19 +80,57 @@ def check_picture(out: str | Path) -> None:
         raise InputError(f"picture {str(out)!r} has no known ending; there are {known}")
 
 
-def _draw_boxes(axes, scene: Scene) -> None:
-    rotations = np.asarray(rotation_matrices(jnp.asarray(scene.quats)))
+def _draw_box(half_extents: np.ndarray, radii: np.ndarray) -> np.ndarray:
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    return (signs * half_extents)[np.array(_FACES)]
+
+
+def _draw_ball(half_extents: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """A sphere, or a capsule: its halves pulled apart."""
+    faces = radii[1] * _unit_sphere()
+    middle = faces[..., 2].mean(axis=1, keepdims=True)
+    faces[..., 2] += np.where(middle > 0, 1, -1) * half_extents[2]
+    return faces
+
+
+def _draw_cylinder(half_extents: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    angle = np.linspace(0, 2 * np.pi, 25)
+    rim = radii[0] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    low, high = (np.c_[rim, np.full(25, z)] for z in (-half_extents[2], half_extents[2]))
+    side = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
+    caps = [
+        np.stack([end[:-1], end[1:], 0 * end[1:] + [0, 0, z], end[:-1]], axis=1)
+        for end, z in ((low, -half_extents[2]), (high, half_extents[2]))
+    ]
+    return np.concatenate([side, *caps])
+
+
+def _draw_half_space(half_extents: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """The part of its plane that the picture shows."""
+    corners = np.array([[-1, -1, 0], [-1, 1, 0], [1, 1, 0], [1, -1, 0]], float)
+    return (corners + np.array([0, 0, half_extents[2]]))[None]
+
+
+# Faces `[F, 4, 3]` m of an obstacle in its own frame, by its half extents and radii.
+_DRAW = for_every_kind(
+    "picture",
+    box=_draw_box,
+    sphere=_draw_ball,
+    capsule=_draw_ball,
+    cylinder=_draw_cylinder,
+    half_space=_draw_half_space,
+)
+
+
+def _draw_obstacles(axes, scene: Scene) -> None:
+    rotations = np.asarray(rotation_matrices(jnp.asarray(scene.quats)))
+    kinds = kind_of(scene.half_extents, scene.radii)
     for i in np.flatnonzero(np.asarray(scene.mask)):
-        corners = signs * np.asarray(scene.half_extents[i]) @ rotations[i].T
-        corners = corners + np.asarray(scene.centers[i])
-        faces = [corners[list(face)] for face in _FACES]
+        sizes = np.asarray(scene.half_extents[i]), np.asarray(scene.radii[i])
+        faces = _DRAW[KINDS[kinds[i]]](*sizes) @ rotations[i].T + np.asarray(scene.centers[i])
         axes.add_collection3d(
             Poly3DCollection(faces, facecolor="0.6", edgecolor="0.35", alpha=0.35, linewidth=0.5)
         )
-
-
-_DRAW = for_every_kind("picture", box=_draw_boxes)
 
 
 def _along(path: np.ndarray, count: int) -> np.ndarray:

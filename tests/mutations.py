@@ -133,7 +133,7 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def scenes(folder: Path) -> Callable[[random.Random, Path], Callable[[], object]]:
-    from gnnjax.scene.scene import scene_from_json
+    from gnnjax.scene.scene_file import scene_from_json
 
     box = {"center": [0.5, 0, 0.5], "half_extents": [0.1, 0.2, 0.3], "quat": [1, 0, 0, 0]}
     good = {"boxes": [box, {**box, "quat": [0.6, 0, 0.8, 0]}, {**box, "center": [1, 1, 1]}]}
@@ -160,10 +160,10 @@ def _problem_file(folder: Path) -> Path:
 
     from gnnjax.problems.file import save_problems
     from gnnjax.problems.problem import Problem, ProblemSet
-    from gnnjax.scene.scene import Scene
+    from gnnjax.scene.scene import box_scene
 
     rng = np.random.default_rng(0)
-    scene = Scene(
+    scene = box_scene(
         rng.normal(size=(3, 10, 3)).astype(np.float32),
         rng.uniform(0.1, 0.3, (3, 10, 3)).astype(np.float32),
         np.tile(np.float32([1, 0, 0, 0]), (3, 10, 1)),

@@ -137,10 +137,13 @@ def test_a_slide_joint_reaches_as_far_as_it_is_from_its_reference(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"centers": np.nan}, r"existing box 0 of the scene has centers \[nan, .* must be finite"),
+        (
+            {"centers": np.nan},
+            r"existing obstacle 0 of the scene has centers \[nan, .* must be finite",
+        ),
         ({"centers": np.inf}, "centers .* must be finite"),
         ({"centers": 1e7}, "centers .* below 10000"),
-        ({"half_extents": -0.1}, r"half_extents \[-0.1.* must be positive"),
+        ({"half_extents": -0.1}, r"half_extents and radii \[-0.1.* must be positive"),
         ({"half_extents": 0.0}, "half_extents .* must be positive"),
         ({"half_extents": np.nan}, "half_extents .* must be positive"),
         ({"quats": 0.0}, r"quats \[0.0, 0.0, 0.0, 0.0\], which must be of length 1"),
@@ -284,7 +287,9 @@ def test_clearances_are_those_of_single_configurations(robots):
 def test_a_scene_that_is_none_is_named_among_others(robots):
     _, batch, starts, ends, owner = scenes_and_edges(robots["tiny"])
     batch.half_extents[2, 1] = 0.0
-    with pytest.raises(InputError, match="scene 2: existing box 1 of the scene has half_extents"):
+    with pytest.raises(
+        InputError, match="scene 2: existing obstacle 1 of the scene has half_extents"
+    ):
         certify_edges(robots["tiny"], batch, starts, ends, owner)
 
 

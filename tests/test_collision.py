@@ -13,7 +13,7 @@ from gnnjax.collision.checker import EDGE_RESOLUTION, _check_edges, bisection_or
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
-from gnnjax.scene.scene import Scene, make_scene
+from gnnjax.scene.scene import box_scene, make_scene
 
 MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
 CAPSULES = """
@@ -301,7 +301,7 @@ def test_edges_leave_no_gap_wider_than_the_resolution():
         return jnp.abs(q[:, 0] - scene.centers[0, 0]) > EDGE_RESOLUTION / 2 + 1e-5
 
     def edge(target, length):
-        scene = Scene(
+        scene = box_scene(
             jnp.full((1, 3), target), jnp.ones((1, 3)), jnp.ones((1, 4)), jnp.ones(1, bool)
         )
         start, end = jnp.zeros((1, 1)), jnp.full((1, 1), length)

@@ -16,7 +16,7 @@ from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.paper.occupancy import HalvingConv, occupancy_grid
 from gnnjax.roadmap.graph import Roadmap
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import Scene, box_scene
 
 LOWER, UPPER = (-1.2, -1.2, -0.4), (1.2, 1.2, 1.6)
 drawn = jax.jit(occupancy_grid, static_argnums=(1, 2, 3))
@@ -66,7 +66,7 @@ def random_scene(seed=0, num_boxes=4, padding=2) -> Scene:
     rng = np.random.default_rng(seed)
     total = num_boxes + padding
     quats = Rotation.random(total, rng=rng).as_quat(scalar_first=True)
-    return Scene(
+    return box_scene(
         centers=jnp.asarray(rng.uniform(-0.8, 0.8, (total, 3)), jnp.float32),
         half_extents=jnp.asarray(rng.uniform(0.15, 0.5, (total, 3)), jnp.float32),
         quats=jnp.asarray(quats, jnp.float32),

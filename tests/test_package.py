@@ -37,8 +37,8 @@ def test_files_that_the_texts_name_exist():
 ORDER = """
 interruption errors files devices
 arm.mjcf arm.robot arm.kinematics arm.fit
-scene.shapes scene.scene scene.field scene.mujoco_world
-collision.geometry collision.components collision.fused collision.mjx collision.checker
+scene.shapes scene.scene scene.scene_file scene.geometry scene.field scene.mujoco_world
+collision.components collision.fused collision.mjx collision.checker
 collision.sequences collision.obstacles collision.bounds collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion guide.field

@@ -203,7 +203,7 @@ def test_an_arm_of_three_joints_plans_with_the_network_for_seven(tiny_path):
 def test_a_scene_that_is_none_is_refused_before_anything_is_compiled(tiny_path):
     scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
     planner = load_planner(tiny_path, "lazysp", num_nodes=60)
-    with pytest.raises(InputError, match="existing box 0 of the scene has centers"):
+    with pytest.raises(InputError, match="existing obstacle 0 of the scene has centers"):
         planner.plan(scene._replace(centers=scene.centers * np.nan), [1, 0, 0], [2, 0, 0])
     compiled = planner._compiled(True)
     assert not sum(function._cache_size() for function in compiled)

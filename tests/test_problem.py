@@ -13,7 +13,7 @@ from gnnjax.errors import InputError
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
 from gnnjax.problems.shards import MANIFEST, load_problems, read_manifest, save_shard
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import box_scene
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def random_set(num: int = 6, size: int = 10, seed: int = 0) -> ProblemSet:
     """Problems whose boxes lie anywhere among the slots, not first."""
     rng = np.random.default_rng(seed)
     quats = rng.normal(size=(num, size, 4))
-    scene = Scene(
+    scene = box_scene(
         rng.normal(size=(num, size, 3)).astype(np.float32),
         rng.uniform(0.1, 0.3, (num, size, 3)).astype(np.float32),
         (quats / np.linalg.norm(quats, axis=-1, keepdims=True)).astype(np.float32),
@@ -97,11 +97,11 @@ def test_anything_on_padding_is_harmless(tmp_path, robot):
 @pytest.mark.parametrize(
     "name",
     [
-        "cylinder_centers",
-        "num_cylinders",
-        "sphere_radii",
-        "capsule_half_lengths",
+        "cone_centers",
+        "num_cones",
         "box_radii",
+        "sphere_quats",
+        "cylinder_half_extents",
         "meshes",
         "blob_quats",
         "Obstacles",

@@ -11,7 +11,7 @@ from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_queries, check_query
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import Scene, make_scene
+from gnnjax.scene.scene import box_scene, make_scene
 from tests.fine_scan import random_scene
 
 
@@ -34,15 +34,15 @@ def queries(robot):
     )
     rows = [
         (free, away, [-2.0, 0, 0], None),
-        (nan, away, away, "existing box 0 of the scene has centers"),
+        (nan, away, away, "existing obstacle 0 of the scene has centers"),
         (free, [0.0, 0, 0], away, "start .* is in collision"),
         (free, away, [0.0, 0, 0], "goal .* is in collision"),
-        (flat, away, away, "existing box 0 of the scene has half_extents"),
+        (flat, away, away, "existing obstacle 0 of the scene has half_extents"),
         (free, [1e300, 0, 0], away, "start has inf for joint 1"),
         (free, away, [0.0, np.nan, 0], "goal has nan for joint 2; it must lie between"),
         (free, away, away, None),
         (base, away, away, "box 1 of the scene touches the base of tiny"),
-        (long, away, away, "existing box 0 of the scene has quats"),
+        (long, away, away, "existing obstacle 0 of the scene has quats"),
         (base, [9.0, 0, 0], away, "box 1 of the scene touches the base of tiny"),
         (nan._replace(mask=free.mask & False), away, away, None),
     ]
@@ -88,7 +88,7 @@ def test_boxes_touch_the_base_where_the_kernels_say_so(robot, name):
     scenes = stack([random_scene(rng, num=num % 10) for num in range(100)])
     centers = rng.uniform(-0.3, 0.3, scenes.centers.shape).astype(np.float32)
     mask = rng.random(scenes.mask.shape) < 0.7
-    scenes = Scene(centers, scenes.half_extents, scenes.quats, mask)
+    scenes = box_scene(centers, scenes.half_extents, scenes.quats, mask)
     found = base_clear(robot, scenes)
     one = jax.tree.map(lambda x: x[7], scenes)
     np.testing.assert_array_equal(base_clear(robot, one), found[7])

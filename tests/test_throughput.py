@@ -17,7 +17,7 @@ from gnnjax.errors import InputError
 from gnnjax.planning.query import Plan, make_plan
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import box_scene
 
 
 class StandIn:
@@ -49,7 +49,7 @@ def problems(tiny_path, tmp_path):
     starts[2], starts[9] = 0.5, 5.0
     boxes = np.full((10, 1, 3), 0.1, np.float32)
     quats = np.tile(np.array([1, 0, 0, 0], np.float32), (10, 1, 1))
-    scene = Scene(boxes + 3, boxes, quats, np.ones((10, 1), bool))
+    scene = box_scene(boxes + 3, boxes, quats, np.ones((10, 1), bool))
     path = tmp_path / "ten.npz"
     goals = np.linspace(0.1, 1.0, 30, dtype=np.float32).reshape(10, 3)
     save_problems(path, ProblemSet(load_robot(tiny_path).name, Problem(starts, goals, scene)))

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
-from gnnjax.collision.obstacles import Boxes, obstacles_of
+from gnnjax.collision.obstacles import Obstacles, obstacles_of
 from gnnjax.errors import InputError, brief
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import Scene, make_scene
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
@@ -85,7 +85,7 @@ def certify_edges(
 
 
 def _certify_block(
-    robot: Robot, obstacles: list[Boxes], starts: np.ndarray, ends: np.ndarray, owner: np.ndarray
+    robot: Robot, obstacles: Obstacles, starts: np.ndarray, ends: np.ndarray, owner: np.ndarray
 ) -> np.ndarray:
     """Certifies edges `[E, D]` within the joint limits; returns `[E]`.
 
@@ -216,7 +216,7 @@ def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
 
 def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Distances [m] of the arm at `[B, D]` configurations to itself, `[B]`; inf without pairs."""
-    nothing = Scene(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, bool))
+    nothing = make_scene([], [])
     return clearances(robot, nothing, q)
 
 
@@ -226,8 +226,7 @@ def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
     The base is what no joint moves, which certificates and clearances leave out. True where no box
     is. Capsules count as chains of spheres here, too.
     """
-    (boxes,) = obstacles_of(scene)
-    return clear_of_base(spheres_of(robot), boxes).T.reshape(np.shape(scene.mask))
+    return clear_of_base(spheres_of(robot), obstacles_of(scene)).T.reshape(np.shape(scene.mask))
 
 
 def check_scene(scene: Scene) -> None:

@@ -24,28 +24,24 @@ from gnnjax.arm.kinematics import (
     transform,
 )
 from gnnjax.arm.robot import CAPSULE, Robot, require_round_geoms
-from gnnjax.collision.geometry import segment_box_squared, segment_segment_squared
+from gnnjax.scene.geometry import segment_segment_squared, segment_sum_squared
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
-from gnnjax.scene.shapes import for_every_kind
-
-# Squared distance of a segment to an obstacle, seen from the obstacle.
-_SQUARED = for_every_kind("fused kernel", box=segment_box_squared)
 
 # Pairs of the arm's own geometry in one pass of the fused kernel. The compiler turns a pass into a
 # single loop over the batch. It splits what exceeds 2,000 operations into functions, and where it
 # fails to join them again, the loop runs several times slower.
 _SELF_PAIRS_A_PASS = 600
-FAR = 1e6  # m; where boxes are that do not exist
+FAR = 1e6  # m; where obstacles are that do not exist
 
 
 def boxes_clear(
     robot: Robot, scene: Scene, q: Float[Array, " D"], *, base_only: bool = False
 ) -> Bool[Array, " M"]:
-    """Tells for every box of a scene whether the arm is clear of it; true on padding.
+    """Tells for every obstacle of a scene whether the arm is clear of it; true on padding.
 
     Args:
         robot: the arm.
-        scene: M boxes.
+        scene: M obstacles.
         q: the arm's configuration.
         base_only: test only the geoms that no joint moves, which `Checker` leaves out.
 
@@ -63,15 +59,16 @@ def boxes_clear(
         points = [segments[g][part] or [0.0, 0.0, 0.0] for g in chosen]
         return [jnp.stack([jnp.asarray(p[a], q.dtype) for p in points])[:, None] for a in range(3)]
 
-    def seen_from_box(vector: Vector) -> Vector:
-        return [dot(list(to_box), vector) for to_box in to_boxes]
+    def seen_from_obstacle(vector: Vector) -> Vector:
+        return [dot(list(to_box), vector) for to_box in turned]
 
-    to_boxes = jnp.moveaxis(rotation_matrices(scene.quats), 0, -1).swapaxes(0, 1)
-    offset = seen_from_box(subtract(column(0), list(scene.centers.T)))
-    axis = seen_from_box(column(1)) if CAPSULE in robot.geom_types[chosen] else None
-    squared = _SQUARED["box"](offset, axis, list(scene.half_extents.T))
-    reach = jnp.asarray(robot.geom_radii[chosen] ** 2, q.dtype)[:, None]
-    return jnp.all(squared > reach, axis=0) | ~scene.mask
+    turned = jnp.moveaxis(rotation_matrices(scene.quats), 0, -1).swapaxes(0, 1)
+    offset = seen_from_obstacle(subtract(column(0), list(scene.centers.T)))
+    axis = seen_from_obstacle(column(1)) if CAPSULE in robot.geom_types[chosen] else None
+    disc, ball = scene.radii.T
+    squared = segment_sum_squared(offset, axis, list(scene.half_extents.T), disc)
+    reach = jnp.asarray(robot.geom_radii[chosen], q.dtype)[:, None] + ball
+    return jnp.all(squared > reach**2, axis=0) | ~scene.mask
 
 
 def moved_by_joint(robot: Robot) -> list[bool]:
@@ -106,24 +103,25 @@ class CollisionFunctions(NamedTuple):
     collision_free_each: Callable[[Scene, jax.Array, jax.Array], jax.Array]
 
 
-class _Boxes(NamedTuple):
-    """What a pass needs of M boxes: the same for all configurations, or each its own (`*batch`)."""
+class _Obstacles(NamedTuple):
+    """What a pass needs of M obstacles: the same for all configurations, or each its own."""
 
-    origins: Float[Array, "M 3 *batch"]  # of the base, seen from the box
-    rotations: Float[Array, "M 3 3 *batch"] | None  # base to box; None: none is rotated
+    origins: Float[Array, "M 3 *batch"]  # of the base, seen from the obstacle
+    rotations: Float[Array, "M 3 3 *batch"] | None  # base to obstacle; None: none is rotated
     half_extents: Float[Array, "M 3 *batch"]
-    num: Int[Array, ""]  # passes: none after the last box that exists
+    radii: Float[Array, "M 2 *batch"]
+    num: Int[Array, ""]  # passes: none after the last obstacle that exists
 
 
-def _boxes(scene: Scene, axis_aligned: bool) -> _Boxes:
-    """The boxes of a scene, or of P scenes; then `*batch` comes first and is moved by `_each`."""
+def _obstacles(scene: Scene, axis_aligned: bool) -> _Obstacles:
+    """Of a scene, or of P scenes; then `*batch` comes first and is moved by the caller."""
     mask = scene.mask
-    # Boxes that do not exist are far away.
+    # Those that do not exist are far away.
     origins, rotations = -jnp.where(mask[..., None], scene.centers, FAR), None
     if not axis_aligned:
         rotations = rotation_matrices(scene.quats).swapaxes(-1, -2)
         origins = jnp.sum(rotations * origins[..., None, :], axis=-1)
-    return _Boxes(origins, rotations, scene.half_extents, last_box(mask))
+    return _Obstacles(origins, rotations, scene.half_extents, scene.radii, last_box(mask))
 
 
 def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
@@ -131,13 +129,13 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
 
     Args:
         robot: the arm.
-        axis_aligned: promise that no box is rotated; the kernel then skips the rotation.
+        axis_aligned: promise that no obstacle is rotated; the kernel then skips the rotation.
 
     Raises:
         InputError: the arm has geoms other than spheres and capsules.
     """
     require_round_geoms(robot)
-    radii = robot.geom_radii.tolist()
+    geom_radii = robot.geom_radii.tolist()
     moving = np.flatnonzero(moved_by_joint(robot)).tolist()
     num_self = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
     self_parts = np.array_split(robot.self_pairs, max(1, num_self))
@@ -147,14 +145,15 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         # one. NaN configurations are refused by the joint limits.
         return jnp.where(a < b, a, b)
 
-    def box_pass(joints, origin, rotation, half_extents, gap):
-        # Kinematics in the frame of the box are less work than moving every sphere there.
+    def obstacle_pass(joints, obstacle, gap):
+        origin, rotation, half_extents, radii = obstacle
+        # Kinematics in the frame of the obstacle are less work than moving every sphere there.
         turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
         segments = _segments(robot, joints, (list(origin), turned))
         smallest = jnp.full(joints.values.shape[1:], jnp.inf, joints.values.dtype)
         for g in moving:
-            squared = _SQUARED["box"](*segments[g], list(half_extents))
-            smallest = smaller(gap(squared, radii[g]), smallest)
+            squared = segment_sum_squared(*segments[g], list(half_extents), radii[0])
+            smallest = smaller(gap(squared, geom_radii[g] + radii[1]), smallest)
         return smallest
 
     def self_pass(joints, pairs, gap):
@@ -162,25 +161,24 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         smallest = jnp.full(joints.values.shape[1:], jnp.inf, joints.values.dtype)
         for i, j in pairs:
             squared = segment_segment_squared(*segments[i], *segments[j])
-            smallest = smaller(gap(squared, radii[i] + radii[j]), smallest)
+            smallest = smaller(gap(squared, geom_radii[i] + geom_radii[j]), smallest)
         return smallest
 
-    def smallest_gap(boxes: _Boxes, q: jax.Array, gap, worth_going_on) -> jax.Array:
+    def smallest_gap(obstacles: _Obstacles, q: jax.Array, gap, worth_going_on) -> jax.Array:
         joints = joint_terms(robot, q)
 
-        # One box a pass. With several, the compiler finds out what they share and the kernel is a
-        # sixth faster, but it takes three times as long to compile.
+        # One obstacle a pass. With several, the compiler finds out what they share and the kernel
+        # is a sixth faster, but it takes three times as long to compile.
         def one_pass(i, smallest):
             # The barrier keeps the compiler from moving the kinematics out of the loop, which
             # would send every sphere's coordinates through memory: three times slower.
             fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
-            # The rotations may be None.
-            parts = boxes.origins, boxes.rotations, boxes.half_extents
-            origin, rotation, extents = jax.tree.map(lambda x: x[i], parts)
-            return smaller(box_pass(fresh, origin, rotation, extents, gap), smallest)
+            *parts, _ = obstacles  # the rotations may be None
+            own = jax.tree.map(lambda x: x[i], parts)
+            return smaller(obstacle_pass(fresh, own, gap), smallest)
 
         smallest = jnp.full(q.shape[:-1], jnp.inf, q.dtype)
-        smallest = jax.lax.fori_loop(0, boxes.num, one_pass, smallest)
+        smallest = jax.lax.fori_loop(0, obstacles.num, one_pass, smallest)
         for part in self_parts:
 
             def self_turn(_, smallest, part=part):
@@ -192,28 +190,29 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             smallest = jax.lax.fori_loop(0, turns, self_turn, smallest)
         return smallest
 
-    def is_free(boxes: _Boxes, q: jax.Array) -> jax.Array:
+    def is_free(obstacles: _Obstacles, q: jax.Array) -> jax.Array:
         # Squares compare like distances and need no root.
-        gaps = smallest_gap(boxes, q, lambda squared, reach: squared - reach**2, lambda g: g > 0)
+        gaps = smallest_gap(
+            obstacles, q, lambda squared, reach: squared - reach**2, lambda g: g > 0
+        )
         return gaps > 0
 
     def clearance(scene: Scene, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
         def gap(squared, reach):
             return jnp.sqrt(squared) - reach
 
-        return smallest_gap(_boxes(scene, axis_aligned), q, gap, lambda gaps: gaps == gaps)
+        return smallest_gap(_obstacles(scene, axis_aligned), q, gap, lambda gaps: gaps == gaps)
 
     def collision_free(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
-        return is_free(_boxes(scene, axis_aligned), nodes)
+        return is_free(_obstacles(scene, axis_aligned), nodes)
 
     def collision_free_each(
         scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
     ) -> Bool[Array, " B"]:
-        own = _boxes(jax.tree.map(lambda x: x[owner], scenes), axis_aligned)
+        own = _obstacles(jax.tree.map(lambda x: x[owner], scenes), axis_aligned)
         # One array a component, as everything else in a pass.
-        parts = own.origins, own.rotations, own.half_extents
-        origins, rotations, extents = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), parts)
-        return is_free(_Boxes(origins, rotations, extents, own.num), nodes)
+        moved = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), own._replace(num=None))
+        return is_free(moved._replace(num=own.num), nodes)
 
     # Traced once a shape, however often a function that is compiled around it asks.
     return CollisionFunctions(clearance, jax.jit(collision_free), jax.jit(collision_free_each))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gnnjax.collision.bounds import Rates, Spheres
-from gnnjax.collision.obstacles import Boxes, sum_of_squares
+from gnnjax.collision.obstacles import Obstacles, sum_of_squares
 
 # m; added to every motion, for what double precision rounds off. That is less than 1e-11 m among
 # numbers below 1e4 m.
@@ -34,7 +34,7 @@ class Gaps(NamedTuple):
     motion: np.ndarray  # [N] m, that the gap may shrink by, at most
 
 
-def gaps_of(body: Spheres, obstacles: list[Boxes], at: Moments, rates: Rates) -> Gaps:
+def gaps_of(body: Spheres, obstacles: Obstacles, at: Moments, rates: Rates) -> Gaps:
     """The gaps that a motion might use up, to obstacles and of the arm to itself.
 
     What is left out is farther apart than it can move: the gap of a sphere to an obstacle is at
@@ -47,32 +47,39 @@ def gaps_of(body: Spheres, obstacles: list[Boxes], at: Moments, rates: Rates) ->
     """
     frames = _frames(body, at.q)
     middles = _place(frames, body.middles[:, :, None])  # [3 L B]
-    found = [_gaps_to(body, kind, at, rates, frames, middles) for kind in obstacles]
-    found.append(_gaps_within(body, at, rates, frames, middles))
+    found = (
+        _gaps_to(body, obstacles, at, rates, frames, middles),
+        _gaps_within(body, at, rates, frames, middles),
+    )
     return Gaps(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def _gaps_to(
-    body: Spheres, kind: Boxes, at: Moments, rates: Rates, frames: np.ndarray, middles: np.ndarray
+    body: Spheres,
+    obstacles: Obstacles,
+    at: Moments,
+    rates: Rates,
+    frames: np.ndarray,
+    middles: np.ndarray,
 ) -> Gaps:
     # Balls of links and balls of obstacles.
     reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
     centers, radii, exists = (
-        x.take(at.scene, axis=-1) for x in (kind.centers, kind.radii, kind.exists)
+        x.take(at.scene, axis=-1) for x in (obstacles.centers, obstacles.radii, obstacles.exists)
     )
     apart = sum_of_squares(middles[:, body.moving, None] - centers[:, None])  # [L M B]
     near = exists & ~(apart > (reach[body.moving, None] + radii) ** 2)
     link, thing, moment = np.unravel_index(np.flatnonzero(near), near.shape)
     link = body.moving[link]
     # Balls of links and the obstacles themselves.
-    apart = kind.distances(_pick(middles, link, moment), thing, at.scene[moment])
+    apart = obstacles.distances(_pick(middles, link, moment), thing, at.scene[moment])
     near = ~(apart > _pick(reach, link, moment))
     link, thing, moment = link[near], thing[near], moment[near]
     # Every sphere of the links that are left.
     row, sphere = members(body.first[link], body.count[link])
     link, thing, moment = link[row], thing[row], moment[row]
     points = _place(_pick(frames, link, moment), body.centers[:, sphere])
-    apart = kind.distances(points, thing, at.scene[moment])
+    apart = obstacles.distances(points, thing, at.scene[moment])
     motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
     return Gaps(moment, apart - body.radii[sphere], motion)
 
@@ -96,12 +103,12 @@ def _gaps_within(
     return Gaps(moment, gap, motion)
 
 
-def clear_of_base(body: Spheres, kind: Boxes) -> np.ndarray:
+def clear_of_base(body: Spheres, obstacles: Obstacles) -> np.ndarray:
     """Whether obstacles are clear of the links that no joint moves, `[M P]`."""
     points, radii = _base(body)
-    sphere, thing, scene = np.indices((len(radii), *kind.exists.shape)).reshape(3, -1)
-    gap = kind.distances(points[:, sphere], thing, scene) - radii[sphere]
-    return (gap > 0).reshape(len(radii), *kind.exists.shape).all(axis=0) | ~kind.exists
+    sphere, thing, scene = np.indices((len(radii), *obstacles.exists.shape)).reshape(3, -1)
+    gap = obstacles.distances(points[:, sphere], thing, scene) - radii[sphere]
+    return (gap > 0).reshape(len(radii), *obstacles.exists.shape).all(axis=0) | ~obstacles.exists
 
 
 @functools.cache

@@ -57,7 +57,15 @@ class _Geoms(NamedTuple):
 
 
 _SHAPES = [(3,), (3, 3), (3,)]  # of a geom's position, rotation and size
-_OBSTACLES = for_every_kind("MJX backend", box=_Kind(int(mujoco.mjtGeom.mjGEOM_BOX)))
+# A half-space is a box.
+_OBSTACLES = for_every_kind(
+    "MJX backend",
+    box=_Kind(int(mujoco.mjtGeom.mjGEOM_BOX)),
+    sphere=_Kind(SPHERE),
+    capsule=_Kind(CAPSULE),
+    cylinder=_Kind(int(mujoco.mjtGeom.mjGEOM_CYLINDER)),
+    half_space=_Kind(int(mujoco.mjtGeom.mjGEOM_BOX)),
+)
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
@@ -80,9 +88,10 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
         # One group for two kinds, whichever of them comes first.
         i, j = (i, j) if kinds[i] <= kinds[j] else (j, i)
         pairs[kinds[i], kinds[j]].append((i, j))
-    with_boxes = [
-        (np.array(rows), _distance(robot, kind, _OBSTACLES["box"])) for kind, rows in moving.items()
-    ]
+    with_obstacles = {
+        other: [(np.array(rows), _distance_to(robot, kind, other)) for kind, rows in moving.items()]
+        for other in dict.fromkeys(_OBSTACLES.values())
+    }
     with_itself = [(np.array(rows), _distance(robot, *two)) for two, rows in pairs.items()]
 
     in_bodies = _frames_in_bodies(robot)
@@ -90,28 +99,36 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
     def smallest_distance(scene: Scene, q: jax.Array, *, only_sign: bool) -> jax.Array:
         """Of a scene, or of a scene for each configuration, `[B M ...]`."""
         place = _placer(robot, in_bodies, q)
-        placed = [place(rows) for rows, _ in with_boxes]
-        centers = jnp.where(scene.mask[..., None], scene.centers, FAR)
-        boxes = centers, rotation_matrices(scene.quats), scene.half_extents
-        if scene.mask.ndim > 1:
-            boxes = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), boxes)
-        num = last_box(scene.mask)
-
-        def going_on(state: tuple[jax.Array, jax.Array]) -> jax.Array:
-            box, smallest = state
-            return (box < num) & (jnp.any(smallest > 0) | (not only_sign))
-
-        def next_box(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            box, smallest = state
-            other = _Geoms(
-                *(_components(part[box], axes) for part, axes in zip(boxes, (1, 2, 1), strict=True))
+        smallest = jnp.full(len(q), jnp.inf, q.dtype)
+        disc, ball = scene.radii[..., 0], scene.radii[..., 1]
+        radius, half_length = disc + ball, scene.half_extents[..., 2]
+        round_sizes = jnp.stack([radius, half_length, jnp.zeros_like(radius)], axis=-1)
+        for other, pairs_of_kind in with_obstacles.items():
+            exists = scene.mask & _is_of_kind(other, disc, ball, half_length)
+            is_box = other == _OBSTACLES["box"]
+            # Those of other kinds are far away, and none is looked at after the last.
+            obstacles = (
+                jnp.where(exists[..., None], scene.centers, FAR),
+                rotation_matrices(scene.quats),
+                scene.half_extents if is_box else round_sizes,
             )
-            for geoms, (_, distance) in zip(placed, with_boxes, strict=True):
-                smallest = jnp.minimum(smallest, distance(geoms, other))
-            return box + 1, smallest
+            if scene.mask.ndim > 1:
+                obstacles = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), obstacles)
+            num = last_box(exists)
 
-        start = jnp.int32(0), jnp.full(len(q), jnp.inf, q.dtype)
-        _, smallest = jax.lax.while_loop(going_on, next_box, start)
+            def going_on(state: tuple[jax.Array, jax.Array], num=num) -> jax.Array:
+                i, smallest = state
+                return (i < num) & (jnp.any(smallest > 0) | (not only_sign))
+
+            def next_one(state, obstacles=obstacles, pairs_of_kind=pairs_of_kind):
+                i, smallest = state
+                parts = zip(obstacles, (1, 2, 1), strict=True)
+                placed = _Geoms(*(_components(part[i], axes) for part, axes in parts))
+                for rows, distance in pairs_of_kind:
+                    smallest = jnp.minimum(smallest, distance(place(rows), placed))
+                return i + 1, smallest
+
+            _, smallest = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), smallest))
         for rows, distance in with_itself:
             smallest = jnp.minimum(smallest, distance(place(rows[:, 0]), place(rows[:, 1])))
         return smallest
@@ -130,6 +147,30 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
 
     # Traced once a shape, however often a function that is compiled around it asks.
     return CollisionFunctions(clearance, jax.jit(collision_free), jax.jit(collision_free_each))
+
+
+def _distance_to(
+    robot: Robot, kind: _Kind, obstacle: _Kind
+) -> Callable[[_Geoms, _Geoms], Float[Array, " B"]]:
+    """`_distance` to obstacles; those that MJX cannot collide geoms of a kind with touch them all.
+
+    MJX has no function for cylinders and boxes or meshes, for example.
+    """
+    if obstacle != _OBSTACLES["box"]:
+        try:
+            return _distance(robot, kind, obstacle)
+        except InputError:
+            return lambda geoms, _: jnp.full(jnp.shape(geoms.position[0])[-1:], -jnp.inf)
+    return _distance(robot, kind, obstacle)
+
+
+def _is_of_kind(kind: _Kind, disc: jax.Array, ball: jax.Array, half_length: jax.Array) -> jax.Array:
+    """Which obstacles MJX collides as geoms of a kind."""
+    if kind == _OBSTACLES["cylinder"]:
+        return disc > 0
+    if kind == _OBSTACLES["box"]:
+        return (disc == 0) & (ball == 0)
+    return (ball > 0) & ((half_length > 0) == (kind == _OBSTACLES["capsule"]))
 
 
 def _kinds(robot: Robot) -> list[_Kind]:

@@ -9,58 +9,61 @@ import numpy as np
 
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
-from gnnjax.scene.shapes import for_every_kind
+from gnnjax.scene.shapes import kind_of
 
-_MOST_METERS = 1e4  # of a box; what lies beyond is no scene of an arm
+_MOST_METERS = 1e4  # of an obstacle; what lies beyond is no scene of an arm
 _QUAT_ERROR = 1e-4  # how far from 1 a quaternion's length may be
 
 
-class Boxes:
-    """The existing boxes of P scenes, in double precision."""
+class Obstacles:
+    """The existing obstacles of P scenes, in double precision."""
 
     exists: np.ndarray  # [M P]
-    centers: np.ndarray  # [3 M P] m; any box lies in the ball of its radius about its center
+    centers: np.ndarray  # [3 M P] m; any obstacle lies in the ball of its radius about its center
     radii: np.ndarray  # [M P] m
 
     def __init__(self, scenes: Scene):
-        mask, centers, half_extents, quats = _arrays(scenes)
+        mask, centers, half_extents, quats, radii = _arrays(scenes)
         self.exists = mask.T
         # What does not exist may hold anything.
-        self.centers, sizes, quats = (
-            np.where(self.exists, x.T, 1.0) for x in (centers, half_extents, quats)
+        self.centers, sizes, quats, radii = (
+            np.where(self.exists, x.T, 1.0) for x in (centers, half_extents, quats, radii)
         )
-        self.radii = np.sqrt(sum_of_squares(sizes))
+        disc, ball = radii
+        beside = np.sqrt(sizes[0] * sizes[0] + sizes[1] * sizes[1]) + disc
+        self.radii = np.sqrt(beside * beside + sizes[2] * sizes[2]) + ball
         w, x, y, z = quats / np.sqrt(sum_of_squares(quats))
         axes = [
             [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
             [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
             [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
         ]
-        rows = [*self.centers, *sizes, *axes[0], *axes[1], *axes[2]]
-        self._table = np.stack(rows).reshape(15, -1)
+        rows = [*self.centers, *sizes, *axes[0], *axes[1], *axes[2], disc, ball]
+        self._table = np.stack(rows).reshape(17, -1)
 
-    def distances(self, points: np.ndarray, box: np.ndarray, scene: np.ndarray) -> np.ndarray:
-        """Distances [m] of points `[3, N]`, each to its box of its scene, `[N]`; 0 inside."""
-        table = self._table.take(box * self.exists.shape[1] + scene, axis=1)
+    def distances(self, points: np.ndarray, number: np.ndarray, scene: np.ndarray) -> np.ndarray:
+        """Distances [m] of points `[3, N]`, each to one obstacle of its scene, `[N]`.
+
+        Inside of an obstacle 0, or minus the depth in its ball.
+        """
+        table = self._table.take(number * self.exists.shape[1] + scene, axis=1)
         x, y, z = points - table[:3]
         outside = []
-        for size, axis in zip(table[3:6], table[6:].reshape(3, 3, -1), strict=True):
+        for size, axis in zip(table[3:6], table[6:15].reshape(3, 3, -1), strict=True):
             along = axis[0] * x + axis[1] * y + axis[2] * z
             outside.append(np.maximum(np.abs(along) - size, 0))
-        return np.sqrt(sum_of_squares(outside))
+        disc, ball = table[15:]
+        beside = np.maximum(np.sqrt(sum_of_squares(outside[:2])) - disc, 0)
+        return np.sqrt(beside * beside + outside[2] * outside[2]) - ball
 
 
-# Of its own code, and checked by itself: see `shapes.py`.
-_KINDS = for_every_kind("certificate", box=Boxes)
-
-
-def obstacles_of(scenes: Scene) -> list[Boxes]:
-    """The existing obstacles of one scene or of P scenes, by kind, or what is wrong with them."""
+def obstacles_of(scenes: Scene) -> Obstacles:
+    """The existing obstacles of one scene or of P scenes, or what is wrong with them."""
     for number, fault in enumerate(scene_faults(scenes)):
         if fault is not None:
             single = np.ndim(scenes.mask) == 1
             raise InputError(fault if single else f"scene {number}: {fault}")
-    return [kind(scenes) for kind in _KINDS.values()]
+    return Obstacles(scenes)
 
 
 def scene_faults(scenes: Scene) -> list[str | None]:
@@ -69,44 +72,49 @@ def scene_faults(scenes: Scene) -> list[str | None]:
     Raises:
         InputError: arrays of other shapes, which are no scenes at all.
     """
-    mask, centers, half_extents, quats = _arrays(scenes)
-    # Written so that NaN fails.
-    size = half_extents
+    mask, centers, half_extents, quats, radii = _arrays(scenes)
     with np.errstate(over="ignore", invalid="ignore"):
         norms = np.linalg.norm(quats, axis=2, keepdims=True)
+    # Written so that NaN fails. What is of no kind of ours, no file and no other engine knows.
+    of_a_kind = (kind_of(half_extents, radii) >= 0)[..., None]
+    sizes = np.concatenate([half_extents, radii], axis=2)
     rules = (
         ("centers", centers, "finite", np.abs(centers) <= _MOST_METERS),
-        ("half_extents", size, "positive", (size > 0) & (size <= _MOST_METERS)),
+        (
+            "half_extents and radii",
+            sizes,
+            "positive, as far as its kind has them",
+            of_a_kind & (sizes <= _MOST_METERS),
+        ),
         ("quats", quats, "of length 1", np.abs(norms - 1) <= _QUAT_ERROR),
     )
     faults: list[str | None] = [None] * len(mask)
     for name, values, rule, good in rules:
         bad = mask & ~good.all(axis=2)
         for i in np.flatnonzero(bad.any(axis=1)):
-            box = bad[i].argmax()
+            which = bad[i].argmax()
             faults[i] = faults[i] or (
-                f"existing box {mask[i, :box].sum()} of the scene has {name} "
-                f"{values[i, box].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
-                "make scenes with make_scene"
+                f"existing obstacle {mask[i, :which].sum()} of the scene has {name} "
+                f"{values[i, which].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
+                "make scenes with make_scene or scene_from_shapes"
             )
     return faults
 
 
-def _arrays(scenes: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mask `[P, M]`, centers, half extents `[P, M, 3]` and quats `[P, M, 4]`; P = 1 for one."""
+def _arrays(scenes: Scene) -> list[np.ndarray]:
+    """Mask `[P, M]`, centers, half extents, quats and radii `[P, M, ...]`; P = 1 for one scene."""
     mask = np.asarray(scenes.mask)
     # Numbers instead of a mask would choose rows.
     if mask.dtype != bool or mask.ndim not in (1, 2):
         raise InputError(f"the mask of the scene is {mask.dtype} {mask.shape}; give bool [M]")
     arrays = [mask]
-    for name, values, width in zip(Scene._fields[:3], scenes[:3], (3, 3, 4), strict=True):
+    for name, values, width in zip(Scene._fields[:4], scenes[:4], (3, 3, 4, 2), strict=True):
         array = np.asarray(values, float)
         if array.shape != (*mask.shape, width):
             wanted = ", ".join(map(str, (*mask.shape, width)))
             raise InputError(f"{name} of the scene have shape {array.shape}; give [{wanted}]")
         arrays.append(array)
-    mask, centers, half_extents, quats = arrays if mask.ndim == 2 else (x[None] for x in arrays)
-    return mask, centers, half_extents, quats
+    return arrays if mask.ndim == 2 else [x[None] for x in arrays]
 
 
 def sum_of_squares(parts: np.ndarray | list[np.ndarray]) -> np.ndarray:

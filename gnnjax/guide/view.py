@@ -14,13 +14,13 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from gnnjax.arm.kinematics import Vector, body_frames, dot, joint_terms, subtract, transform
+from gnnjax.arm.kinematics import body_frames, dot, joint_terms, subtract, transform
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.fused import moved_by_joint
+from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.scene import Scene, rotation_matrices
-from gnnjax.scene.shapes import for_every_kind
 
-# What boxes that do not exist are away from everything, and what a scene without boxes is, m.
+# m; what a scene without obstacles is away from everything.
 _NOTHING_NEAR = 10.0
 _SELF_FAR = 1.0  # m; the arm's distance to itself counts up to this
 
@@ -46,35 +46,35 @@ def choose_points(robot: Robot, num: int) -> tuple[int, ...]:
 
 
 def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.Array]:
-    """Makes the function `(scene, q [B D]) -> [B P]`: signed distances [m] to the nearest box.
-
-    Negative inside a box: minus the way out of it.
+    """Makes the function `(scene, q [B D]) -> [B P]`: signed distances [m] to the nearest
+    obstacle, negative inside: minus the way out of it.
     """
     points = choose_points(robot, num)
     centers = [robot.geom_centers[g].tolist() for g in points]
 
     def distances(scene: Scene, q: Float[Array, "B D"]) -> Float[Array, "B P"]:
         joints = joint_terms(robot, q)
-        turned = jnp.swapaxes(rotation_matrices(scene.quats), -1, -2)  # world to box
-        order = jnp.argsort(~scene.mask)  # existing boxes first
+        turned = jnp.swapaxes(rotation_matrices(scene.quats), -1, -2)  # world to obstacle
+        order = jnp.argsort(~scene.mask)  # existing ones first
 
         def nearer(i, nearest):
             # As in the collision kernels: kinematics anew for every box, one array a component,
             # are four times faster than positions that go through memory.
             fresh, nearest = jax.lax.optimization_barrier((joints, nearest))
             frames = body_frames(robot, fresh)
-            box = scene.centers[order[i]], scene.half_extents[order[i]], turned[order[i]]
+            at = order[i]
             nearer_now = []
             for g, center, near in zip(points, centers, nearest, strict=True):
                 position, rotation = frames[robot.geom_bodies[g]]
-                nearer_now.append(_NEARER["box"](near, box, transform(position, rotation, center)))
+                offset = subtract(transform(position, rotation, center), list(scene.centers[at]))
+                seen = [dot(list(row), offset) for row in turned[at]]
+                away = signed_distance(seen, list(scene.half_extents[at]), *scene.radii[at])
+                nearer_now.append(jnp.where(away < near, away, near))
             return nearer_now
 
         far = jnp.full(q.shape[:1], _NOTHING_NEAR, q.dtype)
-        start = [(jnp.square(far), jnp.zeros_like(far))] * len(points)
-        found = jax.lax.fori_loop(0, scene.mask.sum(), nearer, start)
-        # Of the two, one is zero: a point is outside all boxes, or inside of one.
-        return jnp.stack([jnp.sqrt(squared) + depth for squared, depth in found], axis=-1)
+        found = jax.lax.fori_loop(0, scene.mask.sum(), nearer, [far] * len(points))
+        return jnp.stack(found, axis=-1)
 
     return distances
 
@@ -122,31 +122,3 @@ def arm_view(robot: Robot, num: int) -> Callable[[Scene, jax.Array], ArmView]:
         return ArmView(clearance, jnp.stack(stacked, axis=-2))
 
     return jax.jit(view)  # traced once a shape
-
-
-def _nearer(
-    nearest: tuple[jax.Array, jax.Array],
-    box: tuple[jax.Array, jax.Array, jax.Array],
-    point: Vector,
-) -> tuple[jax.Array, jax.Array]:
-    """Squared distance to the nearest box, and minus the depth in the deepest, with one box more.
-
-    Comparisons are written as `where`, as in `geometry.py`.
-
-    Args:
-        nearest: both, for the boxes before.
-        box: centre [3], half extents [3] and rotation from the world [3 3].
-        point: of the arm, three arrays.
-    """
-    (squared, depth), (center, half_extents, turned) = nearest, box
-    offset = subtract(point, list(center))
-    beyond = [jnp.abs(dot(list(turned[r]), offset)) - half_extents[r] for r in range(3)]
-    outside = [jnp.where(b > 0.0, b, 0.0) for b in beyond]
-    apart = jnp.asarray(dot(outside, outside))
-    inside = beyond[0]
-    for b in beyond[1:]:
-        inside = jnp.where(b > inside, b, inside)
-    return jnp.where(apart < squared, apart, squared), jnp.where(inside < depth, inside, depth)
-
-
-_NEARER = for_every_kind("view of the arm", box=_nearer)

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Bool, Float
 
+from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.scene import Scene
-from gnnjax.scene.shapes import for_every_kind
 
 
 def occupancy_grid(
@@ -17,13 +17,13 @@ def occupancy_grid(
     upper: Sequence[float],
     grid_size: int,
 ) -> Float[Array, "m m m"]:
-    """Draws the boxes into a grid over the workspace: 1 where a voxel's center lies in a box.
+    """Draws obstacles into a grid over the workspace: 1 where a voxel's center lies in one.
 
-    Boxes thinner than a voxel are drawn one voxel thick; a pillar or plate between two rows of
+    What is thinner than a voxel is drawn one voxel thick; a pillar or plate between two rows of
     centers would vanish otherwise.
 
     Args:
-        scene: boxes, in the frame of the robot's base.
+        scene: obstacles, in the frame of the robot's base.
         lower: corner of the workspace [m].
         upper: opposite corner [m].
         grid_size: voxels along each axis, the paper's m.
@@ -32,25 +32,28 @@ def occupancy_grid(
     voxel = (high - low) / grid_size
     axes = [low[i] + voxel[i] * (jnp.arange(grid_size) + 0.5) for i in range(3)]
     centers = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    inside = [of_kind(scene, centers, 0.5 * jnp.max(voxel)) for of_kind in _INSIDE.values()]
-    occupied = jnp.any(jnp.stack(inside), axis=0)
+    occupied = _inside(scene, centers, 0.5 * jnp.max(voxel))
     return occupied.astype(jnp.float32).reshape(grid_size, grid_size, grid_size)
 
 
-def _inside_boxes(
+def _inside(
     scene: Scene, points: Float[Array, "V 1 3"], least: Float[Array, ""]
 ) -> Bool[Array, " V"]:
-    """Whether points are inside of a box, each of which counts as `least` [m] thick or thicker."""
+    """Whether points are in an obstacle, each of which counts as `least` [m] thick or thicker."""
     offset = points - scene.centers  # [V M 3]
-    # Rotation by the conjugate quaternion takes the offset into the frame of the box.
+    # Rotation by the conjugate quaternion takes the offset into the frame of the obstacle.
     w, v = scene.quats[:, :1], -scene.quats[:, 1:]
     t = 2.0 * jnp.cross(v, offset)
     local = offset + w * t + jnp.cross(v, t)
-    inside = jnp.all(jnp.abs(local) <= jnp.maximum(scene.half_extents, least), axis=-1)
-    return jnp.any(inside & scene.mask, axis=-1)
-
-
-_INSIDE = for_every_kind("occupancy grid", box=_inside_boxes)
+    # Boxes are widened along the sides that are thin; what is round, so that
+    # it holds a center wherever it lies.
+    disc, ball = scene.radii.T
+    is_box = (disc == 0) & (ball == 0)
+    sizes = jnp.where(is_box[:, None], jnp.maximum(scene.half_extents, least), scene.half_extents)
+    thin = jnp.where(disc > 0, jnp.minimum(disc, scene.half_extents[:, 2]), ball)
+    widened = jnp.where(is_box, 0.0, jnp.maximum(3**0.5 * least - thin, 0.0))
+    away = signed_distance(list(jnp.moveaxis(local, -1, 0)), list(sizes.T), disc, ball)
+    return jnp.any((away <= widened) & scene.mask, axis=-1)
 
 
 class HalvingConv(nnx.Module):

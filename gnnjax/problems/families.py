@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from gnnjax.scene.scene import Scene, box_bucket, rotation_matrices
+from gnnjax.scene.scene import Scene, box_bucket, box_scene, rotation_matrices
 
 FamilyName: TypeAlias = Literal["shelf", "table", "window", "clutter", "bin"]
 
@@ -113,7 +113,7 @@ def draw_table(key: jax.Array) -> FamilyScene:
         jnp.ones(2, bool),
     )
     local = jnp.concatenate([middle, extents[:, 2:]], axis=1)
-    objects = Scene(
+    objects = box_scene(
         _to_world(pose, local),
         extents,
         jax.vmap(lambda turn: _multiply(pose.quat, _about(2, turn)))(turns),
@@ -162,7 +162,7 @@ def draw_clutter(key: jax.Array) -> FamilyScene:
     quats = quats / jnp.linalg.norm(quats, axis=1, keepdims=True)
     exists = jnp.arange(num) < jax.random.randint(number_key, (), 10, num + 1)
     anywhere = Region(jnp.zeros(3), jnp.full(3, _FAR), _about(2, jnp.zeros(())))
-    scene = Scene(distance * direction, half_extents, quats, exists)
+    scene = box_scene(distance * direction, half_extents, quats, exists)
     return FamilyScene(_padded(scene), anywhere, anywhere)
 
 
@@ -250,14 +250,14 @@ def _placed(pose: _Pose, low_high: list, exists: Bool[Array, " M"]) -> Scene:
     parts = [_corners(low, high) for low, high in low_high]
     centers, half_extents = (jnp.stack(part) for part in zip(*parts, strict=True))
     quats = jnp.tile(pose.quat, (len(parts), 1))
-    return Scene(_to_world(pose, centers), half_extents, quats, exists)
+    return box_scene(_to_world(pose, centers), half_extents, quats, exists)
 
 
 def _padded(*scenes: Scene) -> Scene:
     """Joins scenes, and pads them to a box bucket."""
     joined = jax.tree.map(lambda *x: jnp.concatenate(x), *scenes)
     missing = box_bucket(len(joined.mask)) - len(joined.mask)
-    blank = Scene(
+    blank = box_scene(
         jnp.zeros((missing, 3)),
         jnp.full((missing, 3), 0.1),
         jnp.tile(_about(2, jnp.zeros(())), (missing, 1)),

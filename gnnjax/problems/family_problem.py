@@ -140,6 +140,7 @@ def _scaled(drawn: FamilyScene, reach: Reach) -> FamilyScene:
     scene = drawn.scene._replace(
         centers=center + reach.radius * drawn.scene.centers,
         half_extents=reach.radius * drawn.scene.half_extents,
+        radii=reach.radius * drawn.scene.radii,
     )
     return FamilyScene(scene, region(drawn.start), region(drawn.goal))
 

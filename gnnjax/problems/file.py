@@ -10,14 +10,41 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write, read_arrays
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.scene import MOST_METERS, Scene, box_bucket, pad_scene, unit_quats
-from gnnjax.scene.shapes import for_every_kind
-
-# Arrays of a problem file for the obstacles of each kind.
-_ARRAYS = for_every_kind(
-    "problem file", box=("box_centers", "box_half_extents", "box_quats", "num_boxes")
+from gnnjax.scene.shapes import (
+    FIELDS,
+    KINDS,
+    PLURALS,
+    SIZES,
+    Sums,
+    described,
+    for_every_kind,
+    kind_of,
+    sums_of,
 )
 
-_NAMES = ("robot", "start", "goal", *_ARRAYS["box"])
+_NAMES = ("robot", "start", "goal")
+# Arrays of a problem file for the obstacles of each kind, by what they hold; and their number.
+_ROUND = ("centers", "radii", "half_lengths", "quats")
+_ARRAYS = for_every_kind(
+    "problem file",
+    box=("centers", "half_extents", "quats"),
+    sphere=("centers", "radii"),
+    capsule=_ROUND,
+    cylinder=_ROUND,
+    half_space=("points", "normals"),
+)
+_NUMBERS = {kind: f"num_{PLURALS[kind]}" for kind in KINDS}
+
+
+def _arrays_of(kind: str) -> dict[str, str]:
+    """The arrays of a kind, by what `FIELDS` calls a single entry."""
+    return {
+        name: f"{kind}_{plural}" for name, plural in zip(FIELDS[kind], _ARRAYS[kind], strict=True)
+    }
+
+
+_NEEDED = (*_NAMES, *_arrays_of("box").values(), _NUMBERS["box"])  # of every file
+
 
 # Further arrays are kept, but for those whose names are of obstacles: left out, they would be
 # planned through. Words of a name in the singular; and how the arrays of a kind of shape end.
@@ -48,17 +75,32 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
             )
     _check_further(f"problem file {str(path)!r}", problem_set.extras)
     start, goal, scene = jax.tree.map(np.asarray, problem_set.problems)
-    # Existing boxes first, as the file has a number instead of a mask.
-    order = np.argsort(~scene.mask, axis=1, kind="stable")
     arrays = {
         "robot": np.array(problem_set.robot),
         "start": start.astype(np.float32),
         "goal": goal.astype(np.float32),
-        "box_centers": np.take_along_axis(scene.centers, order[..., None], axis=1),
-        "box_half_extents": np.take_along_axis(scene.half_extents, order[..., None], axis=1),
-        "box_quats": np.take_along_axis(scene.quats, order[..., None], axis=1),
-        "num_boxes": scene.mask.sum(axis=1).astype(np.int32),
     }
+    kinds = np.where(scene.mask, kind_of(scene.half_extents, scene.radii), -2)
+    if (kinds == -1).any():
+        problem, which = np.argwhere(kinds == -1)[0]
+        raise InputError(
+            f"obstacle {which} of problem {problem} is of no kind of {list(KINDS)}; make scenes "
+            "with make_scene or scene_from_shapes"
+        )
+    for number, kind in enumerate(KINDS):
+        chosen = kinds == number
+        if not chosen.any() and kind != "box":
+            continue
+        # First those of the kind, as the file has a number instead of a mask.
+        order = np.argsort(~chosen, axis=1, kind="stable")
+        most = chosen.shape[1] if kind == "box" else chosen.sum(axis=1).max()
+        sums = Sums._make(
+            np.take_along_axis(x, order[..., None], axis=1)[:, :most] for x in scene[:4]
+        )
+        for name, values in described(kind, sums).items():
+            flat = values[..., 0] if FIELDS[kind][name] == 1 else values
+            arrays[_arrays_of(kind)[name]] = flat.astype(np.float32)
+        arrays[_NUMBERS[kind]] = chosen.sum(axis=1).astype(np.int32)
 
     def write(file: Path) -> None:
         with open(file, "wb") as stream:
@@ -69,40 +111,79 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
 
 def load_file(path: Path, robot: Robot) -> ProblemSet:
     arrays = read_arrays(path)
-    missing = [name for name in _NAMES if name not in arrays]
+    missing = [name for name in _NEEDED if name not in arrays]
     if missing:
-        raise InputError(f"problem file {str(path)!r} lacks {missing}; it needs {list(_NAMES)}")
+        raise InputError(f"problem file {str(path)!r} lacks {missing}; it needs {list(_NEEDED)}")
     named = str(arrays["robot"])
     if named != robot.name:
         raise InputError(
             f"problem file {str(path)!r} is for robot {named!r}, not {robot.name!r}; "
             f"name that robot, or use problems of {robot.name}"
         )
-    extras = {name: value for name, value in arrays.items() if name not in _NAMES}
+    present = [kind for kind in KINDS if _names_of(kind) & arrays.keys()]
+    known = {*_NAMES, *(name for kind in present for name in _names_of(kind))}
+    extras = {name: value for name, value in arrays.items() if name not in known}
     _check_further(f"problem file {str(path)!r}", extras)
-    _check_shapes(path, arrays, robot.num_dof)
-    mask = np.arange(arrays["box_centers"].shape[1]) < arrays["num_boxes"][:, None]
-    start, goal, centers, half_extents, quats = (
-        _finite(path, name, arrays[name], rows)
-        for name, rows in zip(_NAMES[1:6], (True, True, mask, mask, mask), strict=True)
-    )
-    _refuse(path, "box_half_extents", half_extents, ~(half_extents > 0), mask, "must be positive")
-    for name, lengths in (("box_centers", centers), ("box_half_extents", half_extents)):
-        rule = f"must be below {MOST_METERS:g} m"
-        _refuse(path, name, lengths, np.abs(lengths) > MOST_METERS, mask, rule)
-    zeros = np.abs(quats).max(axis=-1, keepdims=True, initial=0.0) < 1e-3
-    _refuse(path, "box_quats", quats, zeros, mask, "must be a rotation w x y z")
-    # What lies on padding is replaced, so that no kernel meets NaN or a box without size there.
-    exists = mask[..., None]
-    scene = Scene(
-        np.where(exists, centers, np.float32(0)),
-        np.where(exists, half_extents, np.float32(0.1)),
-        np.where(exists, unit_quats(np.where(exists, quats, 1)), [1, 0, 0, 0]).astype(np.float32),
-        mask,
-    )
-    most = int(arrays["num_boxes"].max(initial=0))
-    scene = pad_scene(jax.tree.map(lambda x: x[:, :most], scene), box_bucket(most))
+    num = len(np.atleast_1d(arrays["start"]))
+    for name in ("start", "goal"):
+        _check_array(path, name, arrays[name], (num, robot.num_dof))
+    if num == 0:
+        raise InputError(f"problem file {str(path)!r} holds no problems; generate it again")
+    start, goal = (_finite(path, name, arrays[name], True) for name in ("start", "goal"))
+    parts = [_obstacles(path, kind, arrays, num) for kind in present]
+    joined = [np.concatenate(x, axis=1) for x in zip(*parts, strict=True)]
+    mask = joined[-1] > 0
+    # Existing ones first, of all kinds.
+    order = np.argsort(~mask, axis=1, kind="stable")
+    most = int(mask.sum(axis=1).max())
+    parts = [np.take_along_axis(x, order[..., None], axis=1)[:, :most] for x in joined[:4]]
+    scene = Scene._make([*parts, np.take_along_axis(mask, order, axis=1)[:, :most]])
+    scene = pad_scene(scene, box_bucket(most, f"problem file {str(path)!r}"))
     return ProblemSet(robot.name, Problem(start, goal, scene), extras)
+
+
+def _names_of(kind: str) -> set[str]:
+    return {*_arrays_of(kind).values(), _NUMBERS[kind]}
+
+
+def _obstacles(path: Path, kind: str, arrays: dict[str, np.ndarray], num: int) -> list[np.ndarray]:
+    """Of `num` problems the obstacles of a kind as sums, float32, and which of them exist."""
+    missing = sorted(_names_of(kind) - arrays.keys())
+    if missing:
+        raise InputError(
+            f"problem file {str(path)!r} lacks {missing}; its {PLURALS[kind]} need "
+            f"{sorted(_names_of(kind))}"
+        )
+    first = arrays[next(iter(_arrays_of(kind).values()))]
+    most = first.shape[1] if first.ndim > 1 else 0
+    counts = arrays[_NUMBERS[kind]]
+    _check_array(path, _NUMBERS[kind], counts, (num,), "iu")
+    if num and not (counts.min() >= 0 and counts.max() <= most):
+        raise InputError(
+            f"{_NUMBERS[kind]} of problem file {str(path)!r} goes from {counts.min()} to "
+            f"{counts.max()}; the file has room for 0 to {most} {PLURALS[kind]}"
+        )
+    mask = np.arange(most) < counts[:, None]
+    values = {}
+    for name, width in FIELDS[kind].items():
+        called = _arrays_of(kind)[name]
+        _check_array(path, called, arrays[called], (num, most, width)[: 2 + (width > 1)])
+        array = arrays[called].reshape(num, most, width)
+        array = _finite(path, called, array, mask, kind)
+        if name in ("quat", "normal"):
+            rule = "must be a rotation w x y z" if name == "quat" else "must be a direction"
+            zeros = np.abs(array).max(axis=-1, keepdims=True, initial=0.0) < 1e-3
+            _refuse(path, called, array, zeros, mask, rule, kind)
+        else:
+            rule = f"must be below {MOST_METERS:g} m"
+            _refuse(path, called, array, np.abs(array) > MOST_METERS, mask, rule, kind)
+        if name in SIZES:
+            _refuse(path, called, array, ~(array > 0), mask, "must be positive", kind)
+        # What lies on padding is replaced, so that no kernel meets NaN or an obstacle without size.
+        blank = np.eye(4)[0] if name == "quat" else np.eye(3)[2] if name == "normal" else 0.1
+        array = np.where(mask[..., None], array, blank)
+        values[name] = unit_quats(array) if name in ("quat", "normal") else array
+    return [*(x.astype(np.float32) for x in sums_of(kind, values)), mask]
 
 
 def _check_further(source: str, extras: dict[str, np.ndarray]) -> None:
@@ -114,61 +195,51 @@ def _check_further(source: str, extras: dict[str, np.ndarray]) -> None:
             continue
         if singular & _SHAPE_WORDS or name.lower().endswith(_SHAPE_ENDINGS):
             raise InputError(
-                f"{source} has the array {name!r}, which names obstacles, and only boxes are "
-                "known; enclose them in boxes, or rename the array if it holds none"
+                f"{source} has the array {name!r}, which names obstacles that are not "
+                f"known; there are {list(KINDS)}: enclose them in those, or rename the array if "
+                "it holds none"
             )
 
 
-def _check_shapes(path: Path, arrays: dict[str, np.ndarray], num_dof: int) -> None:
-    num = len(np.atleast_1d(arrays["start"]))
-    most = arrays["box_centers"].shape[1] if arrays["box_centers"].ndim == 3 else 0
-    expected = {
-        "start": (num, num_dof),
-        "goal": (num, num_dof),
-        "box_centers": (num, most, 3),
-        "box_half_extents": (num, most, 3),
-        "box_quats": (num, most, 4),
-        "num_boxes": (num,),
-    }
-    for name, shape in expected.items():
-        array = arrays[name]
-        if array.shape != shape:
-            raise InputError(
-                f"{name} of problem file {str(path)!r} has shape {array.shape}, not {shape}; "
-                "generate it again"
-            )
-        kinds = "iu" if name == "num_boxes" else "iuf"
-        if array.dtype.kind not in kinds:
-            wanted = "integers" if name == "num_boxes" else "real numbers"
-            raise InputError(
-                f"{name} of problem file {str(path)!r} holds {array.dtype}, not {wanted}; "
-                "generate it again"
-            )
-    if num == 0:
-        raise InputError(f"problem file {str(path)!r} holds no problems; generate it again")
-    counts = arrays["num_boxes"]
-    if not (counts.min() >= 0 and counts.max() <= most):
+def _check_array(
+    path: Path, name: str, array: np.ndarray, shape: tuple[int, ...], kinds: str = "iuf"
+) -> None:
+    if array.shape != shape:
         raise InputError(
-            f"num_boxes of problem file {str(path)!r} goes from {counts.min()} to {counts.max()}; "
-            f"the file has room for 0 to {most} boxes"
+            f"{name} of problem file {str(path)!r} has shape {array.shape}, not {shape}; "
+            "generate it again"
+        )
+    if array.dtype.kind not in kinds:
+        wanted = "integers" if kinds == "iu" else "real numbers"
+        raise InputError(
+            f"{name} of problem file {str(path)!r} holds {array.dtype}, not {wanted}; "
+            "generate it again"
         )
 
 
-def _finite(path: Path, name: str, array: np.ndarray, rows: np.ndarray | bool) -> np.ndarray:
+def _finite(
+    path: Path, name: str, array: np.ndarray, rows: np.ndarray | bool, kind: str = ""
+) -> np.ndarray:
     with np.errstate(over="ignore"):  # too large for float32 is infinite, and refused as such
         array = array.astype(np.float32)
-    _refuse(path, name, array, ~np.isfinite(array), rows, "must be finite")
+    _refuse(path, name, array, ~np.isfinite(array), rows, "must be finite", kind)
     return array
 
 
 def _refuse(
-    path: Path, name: str, array: np.ndarray, bad: np.ndarray, rows: np.ndarray | bool, rule: str
+    path: Path,
+    name: str,
+    array: np.ndarray,
+    bad: np.ndarray,
+    rows: np.ndarray | bool,
+    rule: str,
+    kind: str,
 ) -> None:
     """Raises for the first of `rows` that holds something bad."""
     where = np.argwhere(bad.any(axis=-1) & rows)
     if len(where):
-        box = f" (box {where[0][1]})" if len(where[0]) > 1 else ""
+        which = f" ({kind} {where[0][1]})" if len(where[0]) > 1 else ""
         raise InputError(
-            f"{name} of problem {where[0][0]}{box} in {str(path)!r} is "
+            f"{name} of problem {where[0][0]}{which} in {str(path)!r} is "
             f"{brief(array[tuple(where[0])].tolist())}; it {rule}"
         )

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from gnnjax.arm.kinematics import Scalar, Vector
+from gnnjax.arm.kinematics import Vector
+from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
-from gnnjax.scene.shapes import for_every_kind
 
 _FAR = 10.0  # m; what a scene without obstacles is away from everything
 
@@ -66,27 +66,15 @@ def distance_field(grid: Grid) -> Callable[[Scene], Float[Array, " V"]]:
     x, y, z = sides[0][:, None, None], sides[1][None, :, None], sides[2][None, None, :]
 
     def field(scene: Scene) -> Float[Array, " V"]:
-        turned = jnp.swapaxes(rotation_matrices(scene.quats), -1, -2)  # base to box
+        turned = jnp.swapaxes(rotation_matrices(scene.quats), -1, -2)  # base to obstacle
 
         def nearer(i: jax.Array, nearest: jax.Array) -> jax.Array:
             offset = [side - scene.centers[i, a] for a, side in enumerate((x, y, z))]
             seen = [sum(turned[i, r, a] * offset[a] for a in range(3)) for r in range(3)]
-            away = _DISTANCE["box"](seen, list(scene.half_extents[i]))
+            away = signed_distance(seen, list(scene.half_extents[i]), *scene.radii[i])
             return jnp.where(scene.mask[i] & (away < nearest), away, nearest)
 
         far = jnp.full(grid.shape, _FAR, jnp.float32)
         return jax.lax.fori_loop(0, last_box(scene.mask), nearer, far).ravel()
 
     return field
-
-
-def _box_distance(point: list[Scalar], half_extents: list[Scalar]) -> jax.Array:
-    """Signed distance to a box, in its frame."""
-    beyond = [jnp.abs(p) - h for p, h in zip(point, half_extents, strict=True)]
-    outside = [jnp.where(b > 0.0, b, 0.0) for b in beyond]
-    inside = jnp.maximum(jnp.maximum(beyond[0], beyond[1]), beyond[2])
-    apart = jnp.sqrt(sum(o * o for o in outside))
-    return apart + jnp.where(inside < 0.0, inside, 0.0)
-
-
-_DISTANCE = for_every_kind("distance field", box=_box_distance)

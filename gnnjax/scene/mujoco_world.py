@@ -8,13 +8,20 @@ import numpy as np
 from gnnjax.arm.mjcf import read_spec
 from gnnjax.arm.robot import Robot
 from gnnjax.scene.scene import Scene
-from gnnjax.scene.shapes import for_every_kind
+from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
 
-# Where boxes that do not exist are put: far enough to be clear, near enough for float32.
+# Where obstacles that do not exist are put: far enough to be clear, near enough for float32.
 FAR_AWAY = 1e3
 
 # MuJoCo geoms of obstacles.
-_GEOMS = for_every_kind("MuJoCo world", box=mujoco.mjtGeom.mjGEOM_BOX)
+_GEOMS = for_every_kind(
+    "MuJoCo world",
+    box=mujoco.mjtGeom.mjGEOM_BOX,
+    sphere=mujoco.mjtGeom.mjGEOM_SPHERE,
+    capsule=mujoco.mjtGeom.mjGEOM_CAPSULE,
+    cylinder=mujoco.mjtGeom.mjGEOM_CYLINDER,
+    half_space=mujoco.mjtGeom.mjGEOM_BOX,
+)
 # All bits of MuJoCo's contype and conaffinity.
 _ALL_BITS = -1
 # Flags of an MJCF that would hide contacts from the C engine.
@@ -22,7 +29,7 @@ _HIDING = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mj
 
 
 class Obstacles(NamedTuple):
-    """Where a world has its movable boxes; they come last in it."""
+    """Where a world has its movable obstacles; they come last in it."""
 
     bodies: np.ndarray  # [M] body ids
     geoms: np.ndarray  # [M] geom ids
@@ -30,9 +37,9 @@ class Obstacles(NamedTuple):
 
 
 def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
-    """Compiles the arm with `max_boxes` movable boxes, which `obstacles` finds.
+    """Compiles the arm with `max_boxes` movable obstacles, which `obstacles` finds.
 
-    Each box is a mocap body of its own. A geom that sits in the worldbody and is moved after
+    Each is a mocap body of its own. A geom that sits in the worldbody and is moved after
     compilation would keep the bounding volume of its old place, and the C engine would miss it.
     """
     spec = read_spec(robot.path)
@@ -48,7 +55,7 @@ def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
         # All bits: an obstacle meets whatever collision group a robot's author chose.
         body.add_geom(
             name=f"{prefix}{i}",
-            type=_GEOMS["box"],
+            type=mujoco.mjtGeom.mjGEOM_BOX,  # until an obstacle takes its place
             size=[0.1, 0.1, 0.1],
             contype=_ALL_BITS,
             conaffinity=_ALL_BITS,
@@ -64,7 +71,7 @@ def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
 
 
 def obstacles(model: mujoco.MjModel, max_boxes: int) -> Obstacles:
-    """The boxes of a world from `build_world`, in the order of a scene's."""
+    """The obstacles of a world from `build_world`, in the order of a scene's."""
     last = np.arange(-max_boxes, 0)
     return Obstacles(model.nbody + last, model.ngeom + last, model.nmocap + last)
 
@@ -93,16 +100,22 @@ def _paired_alone(robot: Robot) -> list[str]:
 
 
 def place_boxes(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
-    """Moves the boxes of a world to a scene's places and sizes, in place."""
+    """Gives the obstacles of a world a scene's kinds, places and sizes, in place."""
     mask = np.asarray(scene.mask)
+    kinds = kind_of(scene.half_extents, scene.radii)
     for i, (body, geom, mocap) in enumerate(zip(*obstacles(model, len(mask)), strict=True)):
         exists = bool(mask[i])
         data.mocap_pos[mocap] = np.asarray(scene.centers[i]) if exists else [FAR_AWAY, 0, i]
         data.mocap_quat[mocap] = np.asarray(scene.quats[i]) if exists else [1, 0, 0, 0]
         if exists:
-            size = np.asarray(scene.half_extents[i], dtype=float)
-            model.geom_size[geom] = size
-            model.geom_rbound[geom] = np.linalg.norm(size)
-            model.geom_aabb[geom, 3:] = size
+            extents = np.asarray(scene.half_extents[i], dtype=float)
+            disc, ball = np.asarray(scene.radii[i], dtype=float)
+            model.geom_type[geom] = _GEOMS[KINDS[kinds[i]]]
+            # MuJoCo wants the radius first, then the half length.
+            is_round = disc + ball > 0
+            model.geom_size[geom] = [disc + ball, extents[2], 0] if is_round else extents
+            around = extents + np.array([disc + ball, disc + ball, ball])
+            model.geom_rbound[geom] = np.linalg.norm(around)
+            model.geom_aabb[geom, 3:] = around
             node = model.body_bvhadr[body]
-            model.bvh_aabb[node, 3:] = size
+            model.bvh_aabb[node, 3:] = around

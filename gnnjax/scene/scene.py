@@ -1,47 +1,96 @@
-"""Scenes: oriented boxes, padded to a fixed number with a mask."""
+"""Scenes: obstacles in the frame of the arm's base, padded to a fixed number with a mask."""
 
-import json
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from gnnjax.errors import InputError, brief
-from gnnjax.files import atomic_write
-from gnnjax.scene.shapes import for_every_kind
+from gnnjax.errors import InputError
+from gnnjax.scene.shapes import (
+    FIELDS,
+    HALF_SPACE,
+    IDENTITY_QUAT,
+    KINDS,
+    PLURALS,
+    SIZES,
+    Shape,
+    Sums,
+    kind_of,
+    sums_of,
+)
 
-# Padded numbers of boxes; one compilation each. The first holds the paper's 2 to 9 boxes.
-BOX_BUCKETS = (10, 16, 32, 64)
+# Padded numbers of obstacles; one compilation each. The first holds the paper's 2 to 9 boxes.
+BOX_BUCKETS = (10, 16, 32, 64, 128)
 
 MOST_METERS = 1e4  # of any coordinate; single precision has lost a millimetre there
 
-_IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
-
-# What an obstacle of each kind has in a scene file, and how many numbers.
-_JSON = for_every_kind("scene file", box={"center": 3, "half_extents": 3, "quat": 4})
+_BLANK_SIZE = 0.1  # m; padding has a size, so that nothing divides by zero
 
 
 class Scene(NamedTuple):
-    """Oriented boxes in the frame of the arm's base, wherever its MJCF puts that."""
+    """Obstacles in the frame of the arm's base, wherever its MJCF puts that.
+
+    Each is the sum (Minkowski's) of a box, a disc about the box's z axis, and a ball, one or two of
+    which are zero: see `shapes.py`. Scenes are made by `make_scene` and `scene_from_shapes`.
+    """
 
     centers: Float[Array, "*batch M 3"]  # m
-    half_extents: Float[Array, "*batch M 3"]  # m, positive
-    quats: Float[Array, "*batch M 4"]  # unit quaternions w x y z, box to base
-    mask: Bool[Array, "*batch M"]  # true where the box exists
+    half_extents: Float[Array, "*batch M 3"]  # m, of the box
+    quats: Float[Array, "*batch M 4"]  # unit quaternions w x y z, obstacle to base
+    radii: Float[Array, "*batch M 2"]  # m, of the disc and of the ball
+    mask: Bool[Array, "*batch M"]  # true where the obstacle exists
 
 
-def box_bucket(num_boxes: int, source: str = "the scene") -> int:
-    """The padded number of boxes for a scene of `num_boxes`."""
+def box_scene(
+    centers: ArrayLike, half_extents: ArrayLike, quats: ArrayLike, mask: ArrayLike
+) -> Scene:
+    """A scene of boxes alone, of arrays `[*batch, M, ...]` as they are."""
+    zeros = np.zeros if isinstance(mask, np.ndarray) else jnp.zeros
+    radii = zeros((*np.shape(mask), 2), np.float32)
+    return Scene._make([centers, half_extents, quats, radii, mask])
+
+
+def box_bucket(num: int, source: str = "the scene") -> int:
+    """The padded number of obstacles for a scene of `num`."""
     for bucket in BOX_BUCKETS:
-        if num_boxes <= bucket:
+        if num <= bucket:
             return bucket
     raise InputError(
-        f"{source} has {num_boxes} boxes; at most {BOX_BUCKETS[-1]} are supported, merge some"
+        f"{source} has {num} obstacles; at most {BOX_BUCKETS[-1]} are supported, merge some"
     )
+
+
+def scene_from_shapes(
+    shapes: Sequence[Shape], *, max_boxes: int | None = None, source: str = "the scene"
+) -> Scene:
+    """Builds a scene of any obstacles: `scene_from_shapes([box(...), cylinder(...)])`.
+
+    Args:
+        shapes: what stands there; boxes come first in the scene, then each other kind.
+        max_boxes: padded number; by default the smallest bucket that fits.
+        source: how error messages call the scene, a file name for example.
+
+    Raises:
+        InputError: a number that is missing, not finite or beyond 10 km, a size that is not
+            positive, a quaternion or normal of zeros.
+    """
+    parts = []
+    for kind in KINDS:
+        chosen = [shape.values for shape in shapes if shape.kind == kind]
+        if chosen:
+            columns = {name: [values[name] for values in chosen] for name in FIELDS[kind]}
+            parts.append(sums_from(kind, columns, source))
+    joined = [np.concatenate(x) for x in zip(*parts, strict=True)] if parts else _NOTHING
+    num = len(joined[0])
+    scene = Scene._make([*(x.astype(np.float32) for x in joined), np.ones(num, bool)])
+    return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
+
+
+_NOTHING = Sums(*(np.zeros((0, width)) for width in (3, 3, 4, 2)))
 
 
 def make_scene(
@@ -52,7 +101,7 @@ def make_scene(
     max_boxes: int | None = None,
     source: str = "the scene",
 ) -> Scene:
-    """Builds a scene from `[M, 3]`, `[M, 3]` and `[M, 4]` (or no quaternions: axis-aligned).
+    """Builds a scene of boxes from `[M, 3]`, `[M, 3]` and `[M, 4]` (or no quaternions).
 
     Args:
         centers: box centres, m.
@@ -65,35 +114,65 @@ def make_scene(
         InputError: wrong shape, a number that is not finite or beyond 10 km, a size that is not
             positive, a quaternion of zeros.
     """
-    centers = _rows("centers", centers, 3, source)
-    half_extents = _rows("half_extents", half_extents, 3, source)
-    num = len(centers)
-    given = np.tile(_IDENTITY_QUAT, (num, 1)) if quats is None else quats
-    rotations = _rows("quats", given, 4, source)
-    if not num == len(half_extents) == len(rotations):
-        raise InputError(
-            f"{source} has {num} centers, {len(half_extents)} half_extents and "
-            f"{len(rotations)} quats; give one of each a box"
-        )
-    for i in range(num):
-        if not (half_extents[i] > 0).all():
-            raise InputError(
-                f"box {i} of {source} has half_extents {half_extents[i].tolist()}; "
-                "all three must be positive (m)"
-            )
-    largest = np.abs(rotations).max(axis=1, initial=0.0)
-    if num and largest.min() < 1e-3:
-        raise InputError(
-            f"box {int(largest.argmin())} of {source} has the quaternion "
-            f"{rotations[int(largest.argmin())].tolist()}; give a rotation as w x y z, not zeros"
-        )
-    scene = Scene(
-        centers.astype(np.float32),
-        half_extents.astype(np.float32),
-        unit_quats(rotations).astype(np.float32),
-        np.ones(num, bool),
-    )
+    given = {"center": centers, "half_extents": half_extents}
+    if quats is not None:
+        given["quat"] = quats
+    sums = sums_from("box", given, source)
+    num = len(sums.centers)
+    scene = Scene._make([*(x.astype(np.float32) for x in sums), np.ones(num, bool)])
     return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
+
+
+def sums_from(kind: str, columns: dict[str, Sequence | np.ndarray], source: str) -> Sums:
+    """Checks M obstacles of a kind and brings them into one form.
+
+    Args:
+        kind: theirs.
+        columns: M values by the names of `FIELDS`; quaternions may be left out.
+        source: how error messages call the scene.
+
+    Raises:
+        InputError: see `scene_from_shapes`.
+    """
+    fields = FIELDS[kind]
+    values = {
+        name: rows(PLURALS[name], columns[name], fields[name], kind, source)
+        for name in fields
+        if name in columns
+    }
+    num = len(values[next(iter(fields))])
+    if "quat" in fields and "quat" not in values:
+        values["quat"] = np.tile(IDENTITY_QUAT, (num, 1))
+    if len({len(x) for x in values.values()}) > 1:
+        counts = ", ".join(f"{len(x)} {PLURALS[name]}" for name, x in values.items())
+        raise InputError(f"{source} has {counts}; give one of each a {kind}")
+    for name in (name for name in SIZES if name in values):
+        bad = ~(values[name] > 0).all(axis=1)
+        if bad.any():
+            i = int(bad.argmax())
+            raise InputError(
+                f"{kind} {i} of {source} has {name} {values[name][i].tolist()}; "
+                "it must be positive (m)"
+            )
+    for name, remedy in (("quat", "a rotation as w x y z"), ("normal", "a direction")):
+        largest = np.abs(values.get(name, np.ones((1, 1)))).max(axis=1, initial=0.0)
+        if len(largest) and largest.min() < 1e-3:
+            i = int(largest.argmin())
+            raise InputError(
+                f"{kind} {i} of {source} has the {PLURALS[name][:-1]} {values[name][i].tolist()}; "
+                f"give {remedy}, not zeros"
+            )
+    for name in ("quat", "normal"):
+        if name in values:
+            values[name] = unit_quats(values[name])
+    if kind == "half_space":
+        above = np.sum(values["point"] * values["normal"], axis=1)
+        if len(above) and above.max() > HALF_SPACE:
+            raise InputError(
+                f"half_space {int(above.argmax())} of {source} reaches {above.max():g} m beyond "
+                "the base and leaves no arm any room; give a normal that points out of it"
+            )
+    return sums_of(kind, values)
 
 
 def unit_quats(quats: np.ndarray) -> np.ndarray:
@@ -106,33 +185,39 @@ def unit_quats(quats: np.ndarray) -> np.ndarray:
     return scaled / np.where(norms > 0, norms, 1)
 
 
-def _rows(name: str, values: Sequence | np.ndarray, width: int, source: str) -> np.ndarray:
+def rows(
+    name: str, values: Sequence | np.ndarray, width: int, kind: str, source: str
+) -> np.ndarray:
+    """Numbers `[M, width]` of M obstacles, or what is wrong with them."""
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} of {source} are not numbers; give {width} a box") from None
+        raise InputError(f"{name} of {source} are not numbers; give {width} a {kind}") from None
     if array.size == 0:
         return np.zeros((0, width))
+    if width == 1 and array.ndim == 1:
+        array = array[:, None]
     if array.ndim != 2 or array.shape[1] != width:
-        raise InputError(f"{name} of {source} have shape {array.shape}; give {width} numbers a box")
-    finite = np.isfinite(array)
-    bad = ~finite.all(axis=1)
-    if name != "quats":  # those are normalized, whatever their length
+        raise InputError(
+            f"{name} of {source} have shape {array.shape}; give {width} numbers a {kind}"
+        )
+    bad = ~np.isfinite(array).all(axis=1)
+    if name not in ("quats", "normals"):  # those are normalized, whatever their length
         bad |= (np.abs(array) > MOST_METERS).any(axis=1)
     if bad.any():
         raise InputError(
-            f"box {int(bad.argmax())} of {source} has {name} {array[bad.argmax()].tolist()}; "
+            f"{kind} {int(bad.argmax())} of {source} has {name} {array[bad.argmax()].tolist()}; "
             f"all numbers must be finite, and lengths below {MOST_METERS:g} m"
         )
     return array
 
 
 def pad_scene(scene: Scene, max_boxes: int) -> Scene:
-    """Pads a NumPy scene `[*batch, M]` with boxes that do not exist, up to `max_boxes`."""
+    """Pads a NumPy scene `[*batch, M]` with obstacles that do not exist, up to `max_boxes`."""
     missing = max_boxes - scene.mask.shape[-1]
     if missing < 0:
         raise InputError(
-            f"the scene has room for {scene.mask.shape[-1]} boxes, more than {max_boxes}; "
+            f"the scene has room for {scene.mask.shape[-1]} obstacles, more than {max_boxes}; "
             "raise max_boxes"
         )
 
@@ -144,20 +229,24 @@ def pad_scene(scene: Scene, max_boxes: int) -> Scene:
 
     quats = pad(scene.quats, 0.0)
     quats[..., scene.mask.shape[-1] :, 0] = 1.0
-    # Padding boxes have a size, so that nothing divides by zero.
     return Scene(
-        pad(scene.centers, 0.0), pad(scene.half_extents, 0.1), quats, pad(scene.mask, False)
+        pad(scene.centers, 0.0),
+        pad(scene.half_extents, _BLANK_SIZE),
+        quats,
+        pad(scene.radii, 0.0),
+        pad(scene.mask, False),
     )
 
 
 def pad_boxes(scene: Scene, max_boxes: int) -> Scene:
     """`pad_scene` inside of compiled functions: room for `max_boxes`, existing boxes as before."""
     pad = max_boxes - scene.mask.shape[-1]
-    identity = jnp.tile(jnp.array(_IDENTITY_QUAT), (pad, 1))
+    identity = jnp.tile(jnp.array(IDENTITY_QUAT), (pad, 1))
     return Scene(
         jnp.pad(scene.centers, ((0, pad), (0, 0))),
-        jnp.pad(scene.half_extents, ((0, pad), (0, 0)), constant_values=0.1),
+        jnp.pad(scene.half_extents, ((0, pad), (0, 0)), constant_values=_BLANK_SIZE),
         jnp.concatenate([scene.quats, identity]),
+        jnp.pad(scene.radii, ((0, pad), (0, 0))),
         jnp.pad(scene.mask, (0, pad)),
     )
 
@@ -185,84 +274,11 @@ def rotation_matrices(quats: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def scene_from_json(path: str | Path) -> Scene:
-    """Reads `{"boxes": [{"center": [x,y,z], "half_extents": [x,y,z], "quat": [w,x,y,z]}]}`.
-
-    Raises:
-        InputError: the file is missing, is no JSON, holds anything but boxes, or a box lacks what
-            it needs.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        data = json.loads(text, object_pairs_hook=_unrepeated)
-    except FileNotFoundError:
-        raise InputError(f"no scene file {str(path)!r}; check the path") from None
-    except IsADirectoryError:
-        raise InputError(f"scene file {str(path)!r} is a folder; name a file") from None
-    except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, or nested without end
-        raise InputError(f"scene file {str(path)!r} is no JSON: {error}; mend it") from None
-    # What is not read would be planned through.
-    unknown = sorted(data.keys() - {"boxes"}) if isinstance(data, dict) else []
-    if unknown:
-        raise InputError(
-            f'scene file {str(path)!r} has {unknown}, and only "boxes" are known; enclose such '
-            "obstacles in boxes, and remove what is none"
-        )
-    boxes = data.get("boxes") if isinstance(data, dict) else None
-    if not isinstance(boxes, list):
-        raise InputError(
-            f'scene file {str(path)!r} lacks the list "boxes"; write {{"boxes": [...]}}'
-        )
-    box_bucket(len(boxes), repr(str(path)))  # too many are refused before each is looked at
-    for i, box in enumerate(boxes):
-        _check_json_box(box, f"box {i} of {str(path)!r}")
-    return make_scene(
-        [box["center"] for box in boxes],
-        [box["half_extents"] for box in boxes],
-        [box.get("quat", list(_IDENTITY_QUAT)) for box in boxes],
-        source=repr(str(path)),
-    )
-
-
-def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object as a dict; of a name that comes twice, JSON would drop the first value."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"{max(names, key=names.count)!r} comes twice in one object")
-    return found
-
-
-def _check_json_box(box: Any, called: str) -> None:
-    widths = _JSON["box"]
-    # A misspelled "quat" must not leave a box unrotated.
-    if not isinstance(box, dict) or not box.keys() <= widths.keys():
-        found = brief(sorted(box) if isinstance(box, dict) else box)
-        raise InputError(f"{called} has {found}; give center, half_extents and, if rotated, quat")
-    for name, width in widths.items():
-        if name == "quat" and name not in box:
-            continue
-        value = box.get(name)
-        # Booleans and strings would pass for numbers in NumPy.
-        numbers = isinstance(value, list) and all(type(x) in (int, float) for x in value)
-        if not numbers or len(value) != width:
-            raise InputError(
-                f"{called} has {name} = {brief(value)}; give a list of {width} numbers"
-            )
-
-
-def scene_to_json(scene: Scene, path: str | Path) -> None:
-    """Writes the existing boxes of one scene as JSON that `scene_from_json` reads."""
-    mask = np.asarray(scene.mask)
-    rows = zip(
-        np.asarray(scene.centers)[mask].tolist(),
-        np.asarray(scene.half_extents)[mask].tolist(),
-        np.asarray(scene.quats)[mask].tolist(),
-        strict=True,
-    )
-    boxes = [{"center": c, "half_extents": h, "quat": q} for c, h, q in rows]
-    text = json.dumps({"boxes": boxes}, indent=1)
-    atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
+def obstacle_name(scene: Scene, i: int) -> str:
+    """How error messages call obstacle i of one scene: its kind, and its number among those."""
+    kinds = kind_of(scene.half_extents, scene.radii)
+    number = int((np.asarray(scene.mask)[:i] & (kinds[:i] == kinds[i])).sum())
+    return f"{KINDS[kinds[i]] if kinds[i] >= 0 else 'obstacle'} {number}"
 
 
 def sample_scene(
@@ -291,10 +307,10 @@ def sample_scene(
     centers = jax.random.uniform(
         center_key, shape, minval=jnp.array([-1.0, -1.0, 0.5]), maxval=jnp.array([1.0, 1.0, 1.3])
     )
-    quats = jnp.tile(jnp.array(_IDENTITY_QUAT), (shape[0], 1))
-    everything = Scene(centers, half_extents, quats, jnp.ones(shape[0], bool))
+    quats = jnp.tile(jnp.array(IDENTITY_QUAT), (shape[0], 1))
+    everything = box_scene(centers, half_extents, quats, jnp.ones(shape[0], bool))
     clear = boxes_clear(everything).reshape(max_boxes, candidates)
     chosen = jnp.arange(max_boxes) * candidates + jnp.argmax(clear, axis=1)
     num = jax.random.randint(num_key, (), min_num, max_num + 1)
     mask = (jnp.arange(max_boxes) < num) & jnp.any(clear, axis=1)
-    return Scene(centers[chosen], half_extents[chosen], quats[chosen], mask)
+    return box_scene(centers[chosen], half_extents[chosen], quats[chosen], mask)
