@@ -325,9 +325,9 @@ def test_it_is_the_default_and_needs_no_weights_of_the_arm(tiny_path):
             "start has nan for joint 1",
         ),
         (
-            [[0.6, 0.0, 0.0]] * 65,
+            [[0.6, 0.0, 0.0]] * 129,
             ((-1.5, 0.0, 0.0), (1.5, 0.0, 0.0)),
-            "has 65 boxes; at most 64 are",
+            "has 129 obstacles; at most 128 are",
         ),
     ],
 )
