@@ -268,7 +268,7 @@ EXPERIMENT = Experiment(
     claim="The field's calibration, picked by hand, needs no more checks than a fitted one.",
     config=CalibrateFieldConfig,
     quick={
-        "cells": (12, 24),
+        "cells": (24,),
         "spacings": (0.35, 0.7),
         "scenes": 2,
         "num_nodes": 30,

@@ -1,10 +1,14 @@
 """Settings and robots that several test files share."""
 
+import gc
 import os
 from pathlib import Path
 
 import jax
 import pytest
+
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.planner import make_planner
 
 # Nearly all of the tests' time is compilation. Commands that tests start read this in their
 # environment.
@@ -47,10 +51,41 @@ def tiny_path(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def planner_once():
+    """Makes `robot, options -> planner`, one of each for a module, so that each is traced once."""
+    made = {}
+
+    def make_once(robot, options):
+        names = PlannerOptions.__dataclass_fields__
+        key = robot.path, *(getattr(options, name) for name in names)
+        if key not in made:
+            made[key] = make_planner(robot, options)
+        return made[key]
+
+    return make_once
+
+
+@pytest.fixture(scope="module")
+def evaluate_with_one_planner(planner_once):
+    """Evaluations that differ in nothing but problems, files and seeds share a planner."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gnnjax.evaluate.make_planner", planner_once)
+        yield
+
+
+def pytest_collection_finish():
+    """Spares the garbage collector what imports have made, and turns while JAX traces."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+
+
 # Files that take longest come first, so that no worker is left with one of them at the end.
 _LONG = (
-    "notebooks experiments train ablation train_motion guided_planner mjx evaluate search".split()
-)
+    "mjx evaluate train families guides model guided_planner notebooks experiments planner engine "
+    "collision train_motion search ablation rounds mjcf classical roadmap assets"
+).split()
 
 
 def pytest_collection_modifyitems(items):

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from flax import nnx
 
+import gnnjax.train
 from experiments import converged
 from experiments.ablation import EXPERIMENT
 from experiments.record import run
@@ -60,6 +61,16 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
     monkeypatch.setattr("experiments.measure.make_planner", make_planner)
     trainings = []
 
+    def traced_step(*args):
+        """A step that is traced, and changes nothing: what it learns has tests of its own."""
+        step = make_step(*args)
+
+        def idle(state, data, keys):
+            _, losses = jax.eval_shape(step, state, data, keys)
+            return state, {name: np.zeros(x.shape, x.dtype) for name, x in losses.items()}
+
+        return idle
+
     def train_the_first(made):
         """Training, also of networks that lack a part, has tests of its own."""
         trainings.append(made.without)
@@ -75,6 +86,8 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
         save_network(made.out / "weights.safetensors", network, {"log": [{}]})
         return made.out / "weights.safetensors"
 
+    make_step = gnnjax.train.make_step
+    monkeypatch.setattr("gnnjax.train.make_step", traced_step)
     monkeypatch.setattr("experiments.variants.train", train_the_first)
     run(EXPERIMENT, config)
     assert trainings == [(), ("gat",)]

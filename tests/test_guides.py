@@ -19,6 +19,7 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.errors import InputError
 from gnnjax.planning.options import check_options
 from gnnjax.planning.planner import load_planner
+from gnnjax.problems.families import FAMILIES
 from tests.fine_scan import random_scene
 from tests.test_throughput import StandIn
 
@@ -55,11 +56,12 @@ def test_stored_edges_are_those_of_the_roadmap_and_labelled_by_the_checker(robot
     ]
     assert sorted(found) == sorted(wanted)
     checker = make_checker(robot)
+    check, check_edges = jax.jit(checker.check_configurations), jax.jit(checker.check_edges)
     for i, (valid, mask) in enumerate(zip(edges.valid, edges.mask, strict=True)):
         scene = jax.tree.map(lambda x, i=i: x[i], edges.scenes)
-        free = np.asarray(checker.check_configurations(scene, edges.roadmap.nodes))
+        free = np.asarray(check(scene, edges.roadmap.nodes))
         np.testing.assert_array_equal(mask, [free[a] and free[b] for a, b in found])
-        np.testing.assert_array_equal(valid, checker.check_edges(scene, *ends(edges)).valid)
+        np.testing.assert_array_equal(valid, check_edges(scene, *ends(edges)).valid)
     assert 0 < edges.valid[edges.mask].mean() < 1
 
 
@@ -69,14 +71,20 @@ def test_tables_say_of_stored_edges_what_prices_say(robot, edges, name):
     assert guide.tabulate is not None
     assert guide.stored is not None
     table = guide.tabulate(edges.roadmap)
-    priced = np.asarray(guide.stored(guide.weights, guide.read(guide.weights, edges.scenes), table))
+    stored = jax.jit(guide.stored)
+    priced = np.asarray(stored(guide.weights, guide.read(guide.weights, edges.scenes), table))
+
+    @jax.jit
+    def motions(scene, own, other):
+        prices = guide.prices(guide.weights, guide.read(guide.weights, scene))
+        return prices.motions(own, other, 16)
+
     neighbors = np.asarray(edges.roadmap.neighbors)
     for i, found in enumerate(priced):
         scene = jax.tree.map(lambda x, i=i: x[i], edges.scenes)
-        prices = guide.prices(guide.weights, guide.read(guide.weights, scene))
         own = jnp.repeat(edges.roadmap.nodes, neighbors.shape[1], axis=0)
         other = edges.roadmap.nodes[neighbors.ravel()]
-        each = np.asarray(prices.motions(own, other, 16)).reshape(neighbors.shape)
+        each = np.asarray(motions(scene, own, other)).reshape(neighbors.shape)
         mask = np.asarray(edges.roadmap.neighbor_mask)
         np.testing.assert_array_equal(found[mask], each[mask])
 
@@ -86,9 +94,14 @@ def test_the_oracle_knows_and_the_length_knows_nothing(robot, edges):
     found = {}
     for name in ("oracle", "length"):
         guide = KINDS[name].make(robot)
-        prices = guide.prices(guide.weights, guide.read(guide.weights, scene))
-        found[name] = np.asarray(prices.motions(*ends(edges), 16))
-        assert prices.nodes(ends(edges)[0]).shape == (len(edges.starts),)
+
+        @jax.jit
+        def price(scene, starts, ends, guide=guide):
+            prices = guide.prices(guide.weights, guide.read(guide.weights, scene))
+            return prices.nodes(starts), prices.motions(starts, ends, 16)
+
+        nodes, found[name] = map(np.asarray, price(scene, *ends(edges)))
+        assert nodes.shape == (len(edges.starts),)
     free = edges.valid[0] & edges.mask[0]
     np.testing.assert_array_equal(found["oracle"], np.where(free, 0.0, BLOCKED))
     assert not found["length"].any()
@@ -150,6 +163,8 @@ def test_quick_forms_write_results_and_go_on(tiny_path, tmp_path, monkeypatch, n
         return StandIn(robot)
 
     monkeypatch.setattr(f"experiments.{name}.own_planner", stand_in)
+    # Scenes of all families to fit and train in have tests of their own.
+    monkeypatch.setattr("gnnjax.train_motion.FAMILIES", tuple(FAMILIES)[-1:])
     experiment = EXPERIMENTS[name]
     folders = {key: tmp_path / key for key in ("data", "runs", "results")}
     config = experiment.config(quick=True, robot=str(tiny_path), **folders)

@@ -116,7 +116,7 @@ def test_bad_planner_arguments_name_the_choices(arguments, message):
 def run_plan(folder, robot, scene, start, goal):
     (folder / "scene.json").write_text(json.dumps(scene))
     command = [sys.executable, "-m", "gnnjax.plan", "--robot", str(robot), "--scene", "scene.json"]
-    command += ["--start", *start, "--goal", *goal, "--num-nodes", "60", "--max-roadmaps", "2"]
+    command += ["--start", *start, "--goal", *goal, "--num-nodes", "40", "--max-roadmaps", "2"]
     command += ["--image", "plan.png"]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 

@@ -374,11 +374,11 @@ def test_a_path_of_too_many_nodes_is_none(monkeypatch):
     num = 12
     nodes = jnp.linspace(0, 1, num)[:, None]
     nodes = jnp.concatenate([nodes[:1], nodes[-1:], nodes[1:-1]])  # the goal is node 1
-    line = connect(nodes, jnp.ones(num, bool), 0.1, 4)
+    line = jax.jit(connect, static_argnums=3)(nodes, jnp.ones(num, bool), 0.1, 4)
     price = jnp.zeros(line.neighbors.shape)
     priced = Priced(line, price, price == 0, nothing_known(line))
-    assert int(cheapest_route(priced).num) == num
+    assert int(jax.jit(cheapest_route)(priced).num) == num
     monkeypatch.setattr("gnnjax.search.rounds.MOST_STEPS", num - 1)
-    short = cheapest_route(priced)
+    short = jax.jit(lambda priced: cheapest_route(priced))(priced)  # traced anew
     assert int(short.num) == 0
     assert not short.edge_unknown.any()

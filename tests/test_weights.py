@@ -48,7 +48,7 @@ def test_a_network_comes_back_as_it_was(network, path):
 
 
 def test_saving_again_replaces_the_weights(path):
-    other = GuidanceNetwork(channels=12, rngs=nnx.Rngs(2))
+    other = GuidanceNetwork(channels=8, rngs=nnx.Rngs(2))
     save_network(path, other, {"run": 2})
     assert read_metadata(path)["training"] == {"run": 2}
     assert_same(load_network(path), other)
