@@ -4,19 +4,19 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gnnjax.files import cache_folder
+
 
 def cache_compilations() -> None:
     """Keeps compiled code in the user's cache folder, unless JAX was already told where."""
     if jax.config.jax_compilation_cache_dir is None:
-        folder = Path.home() / ".cache" / "gnnjax" / "jax"
-        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_compilation_cache_dir", str(cache_folder("jax")))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 

@@ -24,6 +24,12 @@ except ImportError:  # no POSIX: no locks, and leftovers of killed commands stay
     fcntl = None
 
 
+def cache_folder(name: str) -> Path:
+    """A folder of the user's cache, for what can be computed again; it may not exist yet."""
+    caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(caches) / "gnnjax" / name
+
+
 def check_target(path: str | Path) -> Path:
     """Returns the path of a file to be written, or says why no file can have it."""
     path = Path(path)

@@ -1,109 +1,118 @@
-"""Fits collision spheres to the convex hulls of an arm's links.
+"""Shows the spheres that a planner has in place of an arm's links, and saves them as an MJCF.
 
-    python -m gnnjax.fit --hulls tests/data/kuka_iiwa14_hulls.npz --out assets/kuka_iiwa14.xml \
-        --base link_0
+    python -m gnnjax.fit arm.urdf --picture arm.png --out arm_spheres.xml
+
+Any arm can be planned for without this: `load_robot` fits the same spheres by itself. The MJCF is
+for those who want to change them by hand, or plan without the exact shapes.
 """
 
 import dataclasses
-import json
-import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import tyro
+from rich.console import Console
+from rich.table import Table
 
-from gnnjax.arm.fit import Hull, describe, fit_link
+from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, run_command
-from gnnjax.files import atomic_write
+from gnnjax.files import atomic_write, check_target
+
+_ROUNDING = 1e-5  # m by which saved spheres are larger: an MJCF has six digits
 
 
 @dataclasses.dataclass(frozen=True)
 class FitConfig:
-    """Fit collision spheres to link hulls."""
+    """Show and save the spheres that enclose an arm's links."""
 
-    hulls: Path
-    """An .npz with the hull vertices [V, 3] of each link, in m, under the link's name."""
-
-    out: Path
-    """Output: .json for the numbers, or an existing MJCF (.xml) whose geoms of class "collision"
-    are replaced in the bodies that bear the links' names (see `write_mjcf`)."""
-
-    max_overshoot: float = 0.025
-    """How far a sphere may reach out of its link's hull, in m."""
-
-    base: str = ""
-    """A link that does not move, and may overshoot by `base_overshoot` to need fewer spheres."""
-
-    base_overshoot: float = 0.04
-    """The same limit for the base, in m."""
-
-    spacing: float = 0.002
-    """No point of a hull's surface is further than this from a sample, in m. All samples end up
-    inside the spheres, so nothing sticks out by more than this, and far less in practice."""
-
-    seconds: float = 60.0
-    """Time for the search, for each link."""
-
-    links: tuple[str, ...] = ()
-    """Fit these links only (all of them if empty)."""
-
-    seed: int = 0
+    robot: tyro.conf.Positional[str]
+    """Shipped robot, or path of an MJCF (.xml) or URDF (.urdf)."""
+    out: Path | None = None
+    """An MJCF (.xml) of the arm with these spheres as its collision geometry."""
+    picture: Path | None = None
+    """Where a picture of the links and their spheres goes (needs the viz extra)."""
 
 
-def write_mjcf(path: Path, spheres: dict[str, np.ndarray]) -> None:
-    """Replaces the collision geoms of an MJCF, line by line, so that all the rest stays as it is.
+def fit(config: FitConfig) -> Robot:
+    """Loads the arm, prints a table of its parts, and writes what is asked for."""
+    if config.out is not None:
+        check_target(config.out)
+        if config.out.suffix != ".xml":
+            raise InputError(f"out is {str(config.out)!r}; its name must end in .xml, of an MJCF")
+    draw_cover = None
+    if config.picture is not None:
+        try:
+            from gnnjax.plot import check_picture, draw_cover
+        except ModuleNotFoundError:
+            raise InputError("picture needs matplotlib: pip install 'gnnjax[viz]'") from None
+        check_picture(config.picture)
+    robot = load_robot(config.robot)
+    over = 1e3 * (robot.geom_radii - robot.geom_inner_radii)
+    table = Table("part", "body", "spheres", "overshoot [mm]", title=f"{robot.name}")
+    for number, part in enumerate(robot.parts):
+        rows = robot.geom_parts == number
+        body = robot.bodies[part.body].name if part.body >= 0 else "world"
+        table.add_row(part.name, body, str(rows.sum()), f"{over[rows].max():.1f}")
+    table.add_row("all", "", str(len(over)), f"{over.max():.1f}", style="bold")
+    Console().print(table)
+    print(f"{len(robot.self_pairs)} pairs of spheres tell whether the arm meets itself")
+    if draw_cover is not None and config.picture is not None:
+        draw_cover(robot, config.picture)
+        print(f"wrote {config.picture}")
+    if config.out is not None:
+        text = mjcf_of_spheres(robot)
+        atomic_write(config.out, lambda file: file.write_text(text, encoding="utf-8"))
+        print(f"wrote {config.out}")
+    return robot
 
-    Each body needs its name on the line of its `<body` tag and an `<inertial .../>` of one line;
-    the spheres come after that. A default class "collision" has to make them spheres.
-    """
-    lines, current, done = [], "", set()
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if match := re.search(r'<body name="([^"]+)"', line):
-            current = match[1]
-        if re.search(r'<geom class="collision"', line) and current in spheres:
+
+def mjcf_of_spheres(robot: Robot) -> str:
+    """The MJCF of an arm that collides as its cover."""
+    spec, model = robot.mj_spec.copy(), robot.mj_model
+    spec.compile()  # for the ids
+    _keep_inertias(spec, model)
+    bodies = {body.id: body for body in spec.bodies}
+    geoms = {geom.id: geom for geom in spec.geoms}
+    for number, (part, g) in enumerate(zip(robot.parts, robot.part_geom_ids.tolist(), strict=True)):
+        if len(part.vertices) <= 2:
             continue
-        lines.append(line)
-        if "<inertial" in line and current in spheres:
-            indent = line[: len(line) - len(line.lstrip())]
-            lines += [
-                f'{indent}<geom class="collision" pos="{x:.4f} {y:.4f} {z:.4f}" size="{r:.4f}"/>'
-                for x, y, z, r in spheres[current]
-            ]
-            done.add(current)
-    if missing := sorted(set(spheres) - done):
-        raise InputError(f"no <body> with an <inertial/> for {missing} in {str(path)!r}")
-    atomic_write(path, lambda part: part.write_text("\n".join(lines) + "\n", encoding="utf-8"))
+        for row in np.flatnonzero(robot.geom_parts == number):
+            bodies[part.body + 1].add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                pos=robot.geom_centers[row],
+                size=[robot.geom_radii[row] + _ROUNDING, 0, 0],
+                contype=int(model.geom_contype[g]),
+                conaffinity=int(model.geom_conaffinity[g]),
+                group=3,
+                mass=0,
+                rgba=[0.2, 0.6, 0.9, 0.35],
+            )
+        spec.delete(geoms[g])
+    # Meshes that nothing shows any more; others are read from where they are.
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+    folder = (robot.path.parent / spec.meshdir).resolve()
+    if spec.meshes:
+        spec.meshdir = str(folder)
+    if robot.velocity_limit is not None and not any(
+        numeric.name == "velocity_limit" for numeric in spec.numerics
+    ):
+        spec.add_numeric(name="velocity_limit", data=robot.velocity_limit.astype(float))
+    spec.compile()
+    return spec.to_xml()
 
 
-def fit(config: FitConfig) -> dict[str, np.ndarray]:
-    """Fits all links, prints a table and writes the spheres."""
-    if not config.hulls.is_file():
-        raise InputError(f"no hulls at {str(config.hulls)!r}; give an .npz of hull vertices")
-    with np.load(config.hulls) as data:
-        vertices = {
-            name: data[name].astype(np.float64)
-            for name in data.files
-            if data[name].ndim == 2 and not name.endswith("__surface")
-        }
-    if unknown := sorted(({*config.links, config.base} - {""}) - set(vertices)):
-        raise InputError(f"no link {unknown} in {str(config.hulls)!r}; there are {list(vertices)}")
-    spheres = {}
-    print(f"{'link':24} spheres  sticks out [mm]  overshoot [mm]")
-    for name in config.links or tuple(vertices):
-        hull = Hull(vertices[name])
-        overshoot = config.base_overshoot if name == config.base else config.max_overshoot
-        spheres[name] = fit_link(
-            hull, overshoot, spacing=config.spacing, seconds=config.seconds, seed=config.seed
-        )
-        out, over = describe(hull, spheres[name], config.spacing)
-        print(f"{name:24} {len(spheres[name]):7} {1e3 * out:16.2f} {1e3 * over:15.1f}", flush=True)
-    print(f"{'all':24} {sum(map(len, spheres.values())):7}")
-    if config.out.suffix == ".xml":
-        write_mjcf(config.out, spheres)
-    else:
-        text = json.dumps({name: found.tolist() for name, found in spheres.items()}, indent=1)
-        atomic_write(config.out, lambda part: part.write_text(text + "\n", encoding="utf-8"))
-    return spheres
+def _keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Writes down the inertias, which MuJoCo may have found from the geoms."""
+    for body in spec.bodies:
+        if body.id and model.body_mass[body.id] > 0:
+            body.explicitinertial = True
+            body.mass = float(model.body_mass[body.id])
+            body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
+            body.inertia = model.body_inertia[body.id]
 
 
 def main() -> None:

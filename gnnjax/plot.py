@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from scipy.spatial import ConvexHull
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
@@ -66,6 +67,49 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
         f"{robot.name}: from start (blue) to goal (red) in {len(path) - 1} straight motions; "
         "dotted: the last link"
     )
+    atomic_write(out, lambda file: figure.savefig(file, dpi=130))
+
+
+def draw_cover(robot: Robot, out: str | Path) -> None:
+    """Draws an arm at home into a picture file: its parts, and the spheres that enclose them."""
+    check_picture(out)
+    positions, rotations = (
+        np.asarray(x) for x in forward_kinematics(robot, jnp.asarray(robot.home))
+    )
+    positions = np.concatenate([positions, np.zeros((1, 3))])  # the last is the world
+    rotations = np.concatenate([rotations, np.eye(3)[None]])
+    sphere = _unit_sphere()
+    light = 0.7 + 0.3 * sphere.mean(axis=1) @ (0.3, -0.5, 0.8)
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    bodies = robot.geom_bodies
+    ends = [robot.geom_centers + end * robot.geom_axes for end in (-1, 0, 1)]
+    centers = np.concatenate([np.einsum("gij,gj->gi", rotations[bodies], x) for x in ends])
+    centers += np.tile(positions[bodies], (3, 1))
+    radii = np.tile(robot.geom_radii, 3)
+    surfaces = centers[:, None, None] + radii[:, None, None, None] * sphere
+    lower, upper = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
+    for column, title in enumerate(("parts", "with their spheres"), start=1):
+        axes = figure.add_subplot(1, 2, column, projection="3d", title=title)
+        for part in robot.parts:
+            corners = part.vertices @ rotations[part.body].T + positions[part.body]
+            if len(corners) < 4:
+                faces = (corners[:, None, None] + part.radius * sphere).reshape(-1, 4, 3)
+            else:
+                faces = corners[ConvexHull(corners, qhull_options="QJ").simplices]
+            axes.add_collection3d(
+                Poly3DCollection(faces, facecolor="0.7", edgecolor="0.5", linewidth=0.1)
+            )
+        if column == 2:
+            shaded = np.tile(light, len(centers))[:, None] * (0.2, 0.6, 0.9)
+            axes.add_collection3d(
+                Poly3DCollection(
+                    surfaces.reshape(-1, 4, 3), facecolors=shaded, alpha=0.12, linewidth=0
+                )
+            )
+        axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+        axes.set_box_aspect(upper - lower)
+        axes.set_axis_off()
+    figure.suptitle(f"{robot.name}: {len(robot.geom_radii)} spheres and capsules")
     atomic_write(out, lambda file: figure.savefig(file, dpi=130))
 
 

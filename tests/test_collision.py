@@ -376,14 +376,24 @@ def test_boxes_clear_matches_distances(capsules, tiny):
                 assert np.asarray(found(scene, q)).tolist() == [*expected, True, True]
 
 
-def test_bad_geoms(tiny, tmp_path):
+def test_the_spheres_around_other_geoms_notice_all_that_these_touch(tiny, tmp_path):
     path = tmp_path / "cylinder.xml"
     geom = '<geom type="sphere" size="0.07" pos="0.15 0 0.02" mass="1"/>'
     text = tiny.path.read_text()
     assert geom in text
-    path.write_text(text.replace(geom, '<geom name="stick" type="cylinder" size="0.1 0.1"/>'))
-    with pytest.raises(InputError, match="stick of cylinder is neither sphere nor capsule"):
-        make_checker(load_robot(path))
+    path.write_text(text.replace(geom, '<geom type="cylinder" size="0.1 0.1" euler="1 2 0"/>'))
+    robot, rng = load_robot(path), np.random.default_rng(5)
+    assert (robot.geom_parts == 3).sum() > 1
+    engine, check = Engine(robot), jax.jit(make_checker(robot).check_configurations)
+    scene, q = random_scene(rng, 5, rotated=True), random_configurations(rng, robot, 500)
+    engine.place(scene)
+    free = np.asarray(check(scene, q))
+    truth = []
+    for row in q:
+        engine.move(np.asarray(row, float))
+        truth.append(min(engine.box_distance(3, i) for i in range(5)))
+    assert (np.array(truth)[free] > 0).all()
+    assert 50 < free.sum() < 450
 
 
 def test_bisection_order():

@@ -263,14 +263,6 @@ def test_contact_pairs_count_whatever_bits_and_exclusions_say(tmp_path, configur
     assert not checker.check_configurations(scene, jnp.asarray(configurations[:1]))[0]
 
 
-def test_an_arm_whose_links_meet_nothing_is_refused(tmp_path):
-    path = written(
-        tmp_path, lambda t: t.replace('contype="1" conaffinity="1"', 'contype="0" conaffinity="1"')
-    )
-    with pytest.raises(InputError, match=r"no two links of .* can collide.*have no bit in common"):
-        load_robot(path)
-
-
 def contacts_with_a_box_at_the_tip(robot):
     """How many contacts the C engine finds, at zero."""
     tip = np.asarray(tip_positions(robot, jnp.zeros((1, 3))))[0]

@@ -139,7 +139,7 @@ def test_geoms_of_all_kinds_match_the_c_engine(mixed):
 def test_poses_are_those_of_mjx(name, request):
     robot = request.getfixturevalue(name)
     q = random_configurations(np.random.default_rng(7), robot, 3)
-    rows = np.arange(len(robot.geom_ids))
+    rows = np.arange(len(robot.parts))
     model = mjx.put_model(robot.mj_model, impl="jax")
     data = mjx.make_data(robot.mj_model, impl="jax")
     expected = jax.jit(jax.vmap(lambda q: mjx.kinematics(model, data.replace(qpos=q))))(q)
@@ -150,14 +150,15 @@ def test_poses_are_those_of_mjx(name, request):
 
     placed = _placer(robot, _frames_in_bodies(robot), q)(rows)
     position, rotation = whole(placed.position), whole(placed.rotation)
-    seen = robot.geom_types != mujoco.mjtGeom.mjGEOM_MESH  # which have frames of their own
-    there = expected.geom_xpos[:, robot.geom_ids]
+    types = robot.mj_model.geom_type[robot.part_geom_ids]
+    seen = types != mujoco.mjtGeom.mjGEOM_MESH  # which have frames of their own
+    there = expected.geom_xpos[:, robot.part_geom_ids]
     np.testing.assert_allclose(position[:, seen], there[:, seen], atol=1e-5)
-    turned = expected.geom_xmat[:, robot.geom_ids]
-    boxes = robot.geom_types == mujoco.mjtGeom.mjGEOM_BOX
+    turned = expected.geom_xmat[:, robot.part_geom_ids]
+    boxes = types == mujoco.mjtGeom.mjGEOM_BOX
     np.testing.assert_allclose(rotation[:, boxes], turned[:, boxes], atol=1e-5)
     # Capsules may be turned around their axes.
-    capsules = robot.geom_types == mujoco.mjtGeom.mjGEOM_CAPSULE
+    capsules = types == mujoco.mjtGeom.mjGEOM_CAPSULE
     np.testing.assert_allclose(rotation[:, capsules, :, 2], turned[:, capsules, :, 2], atol=1e-5)
     assert boxes.any() == capsules.any() == (name == "mixed")
 

@@ -36,7 +36,8 @@ def test_files_that_the_texts_name_exist():
 # Imports go down this list only.
 ORDER = """
 interruption errors files devices
-arm.mjcf arm.robot arm.kinematics arm.fit
+arm.parts arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.covers arm.contacts arm.robot
+arm.kinematics
 scene.shapes scene.scene scene.scene_file scene.geometry scene.field scene.mujoco_world
 collision.components collision.fused collision.mjx collision.checker
 collision.sequences collision.obstacles collision.bounds collision.gaps collision.certify

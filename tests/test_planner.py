@@ -177,16 +177,17 @@ def test_what_can_be_refused_is_refused_before_planning(
     assert [path.name for path in tmp_path.iterdir()] == ["scene.json"]
 
 
-def test_an_arm_of_other_geoms_is_refused(tmp_path):
+def test_an_arm_of_a_box_is_planned_for_by_its_spheres_or_by_mjx(tmp_path):
     path = tmp_path / "brick.xml"
     path.write_text(
-        '<mujoco><worldbody><body><joint range="-1 1" limited="true"/>'
+        '<mujoco><worldbody><body><joint range="-90 90" limited="true"/>'
         '<geom name="brick" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>'
     )
     for checker in ("fused", "mjx"):
         planner = load_planner(path, "lazysp", checker=checker)
-        with pytest.raises(InputError, match="geom brick of brick is neither sphere nor capsule"):
-            planner.plan(make_scene([], []), [0.0], [1.0])
+        assert planner.plan(make_scene([], []), [0.0], [1.0]).success
+        with pytest.raises(InputError, match=r"start .* is in collision"):
+            planner.plan(make_scene([[0.2, 0, 0]], [[0.15] * 3]), [0.0], [1.0])
 
 
 def test_an_arm_of_three_joints_plans_with_the_network_for_seven(tiny_path):

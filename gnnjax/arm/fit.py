@@ -1,184 +1,235 @@
-"""Collision spheres fitted to the convex hulls of links.
+"""Collision spheres that enclose a convex hull, few and close to it.
 
-The hull of each link, as a volume, lies in the union of that link's spheres, and no sphere reaches
-further than a given overshoot out of the hull. Under these two conditions the number of spheres is
-made as small as a search of some seconds finds, because a planner's speed is proportional to it.
+A planner's first test of a configuration is of spheres alone, and its speed is proportional to
+their number. So spheres are added one at a time until none reaches further out of the hull than is
+asked for, and each time all of them are moved to where the furthest reaches least.
 
 A sphere whose center lies `depth` inside the hull reaches exactly `radius - depth` out of it: the
 ball of radius `depth` touches the nearest face, and no point of the larger ball is further from the
-smaller one. So each center has one largest radius, `depth + overshoot`, and what is left is to
-place the centers. A greedy set cover gives the first solution. Then spheres are taken away one by
-one, and the rest is moved until it covers all points again.
+smaller one. A point of the hull is then covered by that center at the cost of an overshoot of
+`distance to the center - depth`, and the hull at the largest cost of its points: a smooth problem
+once the largest is softened, which Adam solves in a fraction of a second.
+
+Samples decide where spheres go, not whether they enclose: that is shown for every point of the
+hull (`grown`), and where something is left the spheres grow.
 """
 
-import time
+from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from gnnjax.errors import InputError
 
-MARGIN = 1.5e-4  # m by which samples are covered: pays for rounding to 0.1 mm
+_SAMPLES = 1500  # on the surface; more of them change no cover by a millimetre
+_STEPS = 250  # of the descent, for each number of spheres
+_FLAT = 1e-4  # m; hulls that are thinner have no volume to compute with, and are made as thick
+_CHUNK = 4_000_000  # numbers in one matrix of points and planes or spheres, 32 MB
+_SMALLEST = 1e-3  # m; pieces of the hull are not divided further than this
+_SLACK = 5e-4  # m by which spheres are larger than samples ask for, as most then need no more
 
 
 class Hull:
-    """A convex polytope, with its depth and samples on its surface and in its volume."""
+    """A convex polytope, with its depth and samples of it.
+
+    Raises:
+        InputError: the vertices are none, or not finite.
+    """
 
     def __init__(self, vertices: np.ndarray):
-        qhull = ConvexHull(vertices)
+        from scipy.spatial import ConvexHull, QhullError  # half a second, for new arms alone
+
+        vertices = np.asarray(vertices, float).reshape(-1, 3)
+        if not len(vertices) or not np.isfinite(vertices).all():
+            raise InputError("a hull needs vertices, and all of them finite")
+        try:
+            qhull = ConvexHull(vertices)
+        except QhullError:  # flat, a line or a point
+            box = np.stack(np.meshgrid(*[(-_FLAT, _FLAT)] * 3), axis=-1).reshape(-1, 3)
+            vertices = (np.unique(vertices, axis=0)[:, None] + box).reshape(-1, 3)
+            qhull = ConvexHull(vertices)
         self.vertices = vertices[qhull.vertices]
         self.triangles = vertices[qhull.simplices]  # [T 3 3]
         planes = np.unique(qhull.equations.round(9), axis=0)
         self.normals, self.offsets = planes[:, :3], planes[:, 3]
+        self.area = float(qhull.area)  # m^2
 
     def depth(self, points: np.ndarray) -> np.ndarray:
-        """Distance of points inside to the surface, in m; negative outside."""
-        return -(points @ self.normals.T + self.offsets).max(axis=1)
+        """Distance of points inside to the surface, in m; negative outside, and then no distance
+        but the height above the highest plane."""
+        return -self._heights(points)[0]
 
     def nearest_normal(self, points: np.ndarray) -> np.ndarray:
         """Normal of the nearest face, along which the depth falls fastest."""
-        return self.normals[(points @ self.normals.T + self.offsets).argmax(axis=1)]
+        return self.normals[self._heights(points)[1]]
 
-    def surface(self, spacing: float) -> np.ndarray:
-        """Points on the surface, such that none of it is further than `spacing` from a point."""
-        samples = [self.vertices]
-        for a, b, c in self.triangles:
-            longest = max(np.linalg.norm(b - a), np.linalg.norm(c - b), np.linalg.norm(a - c))
-            # Points of a triangle lie within longest / sqrt(3) of a corner; thinning adds 0.38.
-            n = int(np.ceil(longest / (np.sqrt(3.0) * 0.6 * spacing)))
-            i, j = np.mgrid[: n + 1, : n + 1]
-            i, j = i[i + j <= n], j[i + j <= n]
-            samples.append(a + np.outer(i / n, b - a) + np.outer(j / n, c - a))
-        points = np.concatenate(samples)
-        cells = (points / (0.22 * spacing)).round().astype(np.int64)
-        return points[np.unique(cells, axis=0, return_index=True)[1]]
+    def _heights(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Height above the highest plane, and which one that is."""
+        rows = max(1, _CHUNK // len(self.offsets))
+        heights, planes = np.empty(len(points)), np.empty(len(points), int)
+        for first in range(0, len(points), rows):
+            part = points[first : first + rows] @ self.normals.T + self.offsets
+            planes[first : first + rows] = part.argmax(axis=1)
+            heights[first : first + rows] = part.max(axis=1)
+        return heights, planes
 
-    def interior(self, spacing: float) -> np.ndarray:
-        """A grid of points inside."""
-        lower, upper = self.vertices.min(axis=0), self.vertices.max(axis=0)
-        axes = [np.arange(a + spacing / 2, b, spacing) for a, b in zip(lower, upper, strict=True)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        return points[self.depth(points) > 0]
-
-
-def gaps(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """How far each point lies outside each sphere, in m `[points, spheres]`."""
-    squared = (points**2).sum(axis=1)[:, None] + (centers**2).sum(axis=1)
-    return np.sqrt(np.maximum(squared - 2.0 * points @ centers.T, 0.0)) - radii
-
-
-def greedy_centers(
-    hull: Hull, points: np.ndarray, overshoot: float, rng: np.random.Generator
-) -> np.ndarray:
-    """Centers whose spheres cover all points, each chosen to cover most of what is left."""
-    lower, upper = hull.vertices.min(axis=0), hull.vertices.max(axis=0)
-    centers = rng.uniform(lower, upper, size=(20_000, 3))
-    centers = centers[hull.depth(centers) > 0][:1500]
-    # Every point has a candidate of its own just below the surface, so that a cover exists.
-    sunk = points - 1e-4 * hull.nearest_normal(points)
-    centers = np.concatenate([centers, sunk[hull.depth(sunk) > 0]])
-    covers = gaps(points, centers, hull.depth(centers) + overshoot) < -MARGIN
-    if not covers.any(axis=1).all():
-        raise InputError(
-            f"an overshoot of {overshoot} m is too small; the hull is then not covered"
+    def samples(self, num: int, rng: np.random.Generator) -> np.ndarray:
+        """The vertices, thinned out, about `num` points on the surface and a third inside."""
+        spacing = np.sqrt(self.area / num)
+        a, b, c = self.triangles.swapaxes(0, 1)
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        chosen = rng.choice(len(areas), 4 * num, p=areas / areas.sum())
+        u, v = rng.uniform(size=(2, 4 * num, 1))
+        u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+        surface = a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
+        middle = self.vertices.mean(axis=0)
+        inside = middle + rng.uniform(size=(num // 3, 1)) ** (1 / 3) * (
+            surface[: num // 3] - middle
         )
-    left, chosen = np.ones(len(points), dtype=bool), []
-    while left.any():
-        chosen.append(int(covers[left].sum(axis=0).argmax()))
-        left &= ~covers[:, chosen[-1]]
-    return centers[chosen]
+        return np.concatenate(
+            [_thinned(self.vertices, spacing / 3), _thinned(surface, spacing), inside]
+        )
 
 
-def move_centers(
-    hull: Hull,
-    points: np.ndarray,
-    centers: np.ndarray,
-    overshoot: float,
-    steps: int,
-    rng: np.random.Generator,
-) -> np.ndarray | None:
-    """Moves centers until their spheres cover all points: Adam on the squared gaps, with noise."""
-    mean, square = np.zeros_like(centers), np.zeros_like(centers)
-    for step in range(steps):
-        gap = gaps(points, centers, hull.depth(centers) + overshoot) + MARGIN
-        nearest = gap.argmin(axis=1)
-        gap = gap[np.arange(len(points)), nearest]
-        out = np.flatnonzero(gap > 0)
-        if not len(out):
-            return centers
-        owner = nearest[out]
-        toward = centers[owner] - points[out]
-        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-        gradient = np.zeros_like(centers)
-        # A gap closes as its sphere comes nearer, and as the sphere grows with its depth.
-        pull = toward + hull.nearest_normal(centers)[owner]
-        np.add.at(gradient, owner, pull * gap[out, None])
-        mean = 0.9 * mean + 0.1 * gradient
-        square = 0.95 * square + 0.05 * gradient**2
-        left = 1.0 - step / steps
-        centers = centers - 0.003 * left * mean / (np.sqrt(square) + 1e-7)
-        if step % 50 == 25:
-            centers = centers + rng.normal(scale=0.002 * left, size=centers.shape)
-        rise = np.minimum(hull.depth(centers) - 1e-4, 0.0)  # back inside
-        centers = centers + rise[:, None] * hull.nearest_normal(centers)
-    return None
+def _thinned(points: np.ndarray, spacing: float) -> np.ndarray:
+    """One point of each cube of space."""
+    cells = np.floor(points / spacing).astype(np.int64)
+    return points[np.unique(cells, axis=0, return_index=True)[1]]
 
 
-def fit_link(
-    hull: Hull, overshoot: float, *, spacing: float, seconds: float, seed: int
-) -> np.ndarray:
-    """Spheres [S, 4] (center and radius, in m, the largest first) that enclose a hull.
+class Cover(NamedTuple):
+    """Spheres whose union holds a hull."""
+
+    centers: np.ndarray  # [S 3] m
+    radii: np.ndarray  # [S] m
+    depths: np.ndarray  # [S] m, of the centers in the hull: radii of balls inside of it
+
+    @property
+    def overshoot(self) -> float:
+        """How far the furthest sphere reaches out of the hull, m."""
+        return float((self.radii - self.depths).max())
+
+
+def fit_covers(vertices: np.ndarray, *, overshoot: float, most: int, seed: int = 0) -> list[Cover]:
+    """Encloses the convex hull of `vertices` by one sphere, by two, and so on.
 
     Args:
-        hull: of one link.
-        overshoot: how far a sphere may reach out of it, m.
-        spacing: of the samples on its surface, m.
-        seconds: for the search.
-        seed: of its random numbers.
+        vertices: `[V 3]` m.
+        overshoot: where spheres reach no further, in m, no more of them are tried.
+        most: spheres in the last cover.
+        seed: of the samples.
+
+    Returns:
+        Covers that get better; more spheres that are no better are left out.
+
+    Raises:
+        InputError: the vertices are none, or not finite.
     """
-    rng = np.random.default_rng(seed)
-    start = time.monotonic()
-    fine = np.concatenate([hull.surface(spacing), hull.interior(2.0 * spacing)])
-    points = np.concatenate([hull.surface(0.007), hull.interior(0.014)])
-    best, centers, attempt = None, greedy_centers(hull, points, overshoot, rng), 0
-    while True:
-        if centers is not None:  # covers the coarse points; those of the fine that stick out join
-            gap = gaps(fine, centers, hull.depth(centers) + overshoot).min(axis=1) + MARGIN
-            if (gap > 0).any():
-                points = np.concatenate(
-                    [points, fine[np.argsort(-gap)[: min(300, (gap > 0).sum())]]]
-                )
-                centers = move_centers(hull, points, centers, overshoot, 600, rng)
-                if best is None and centers is None:
-                    centers = greedy_centers(hull, points, overshoot, rng)
-                continue
-            best, attempt = centers, 0
-        if (time.monotonic() - start > seconds and best is not None) or len(best) == 1:
-            return shrink(hull, fine, best, overshoot)
-        # Take away the sphere that covers least alone, or now and then another one.
-        inside = gaps(points, best, hull.depth(best) + overshoot) <= 0
-        alone = (inside & (inside.sum(axis=1) == 1)[:, None]).sum(axis=0)
-        rank = min(int(rng.exponential(2.0)) if attempt else 0, len(best) - 1)
-        rest = np.delete(np.asarray(best), int(np.argsort(alone)[rank]), axis=0)
-        rest = rest + rng.normal(scale=(0.001, 0.004, 0.012)[attempt % 3], size=rest.shape)
-        centers = move_centers(hull, points, rest, overshoot, (150, 300, 500)[attempt % 3], rng)
-        attempt += 1
+    hull, rng = Hull(vertices), np.random.default_rng(seed)
+    points = hull.samples(_SAMPLES, rng)
+    centers, covers = np.empty((0, 3)), []
+    for _ in range(most):
+        centers = _descend(hull, points, _with_another(hull, points, centers))
+        cover = _closed(hull, points, centers)
+        if not covers or cover.overshoot < covers[-1].overshoot:
+            covers.append(cover)
+        if cover.overshoot <= overshoot:
+            break
+    return covers
 
 
-def shrink(hull: Hull, points: np.ndarray, centers: np.ndarray, overshoot: float) -> np.ndarray:
-    """Gives each sphere the smallest radius with which all of them enclose the points."""
-    radii = hull.depth(centers) + overshoot
-    distance = gaps(points, centers, np.zeros(len(centers)))
-    inside = distance <= radii - MARGIN
-    for i in np.argsort(hull.depth(centers)):
+def _with_another(hull: Hull, points: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    """Adds a center: the first in the middle, others half the way to what is covered worst."""
+    if not len(centers):
+        return points.mean(axis=0)[None]
+    costs = _costs(hull, points, centers)
+    worst = costs.min(axis=1).argmax()
+    return np.concatenate([centers, (points[worst] + centers[costs[worst].argmin()])[None] / 2])
+
+
+def _distances(points: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    squared = (points**2).sum(axis=1)[:, None] + (centers**2).sum(axis=1)
+    return np.sqrt(np.maximum(squared - 2.0 * points @ centers.T, 0.0))
+
+
+def _costs(hull: Hull, points: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    """The overshoot [m] with which each center covers each point `[P S]`."""
+    return _distances(points, centers) - hull.depth(centers)
+
+
+def _descend(hull: Hull, points: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    """Moves centers to where the largest cost is least: Adam on it, softened less and less."""
+    mean, square = np.zeros_like(centers), np.zeros_like(centers)
+    size = float(np.ptp(hull.vertices, axis=0).max())
+    rows, best, least = np.arange(len(points)), centers, np.inf
+    for step in range(_STEPS):
+        costs = _costs(hull, points, centers)
+        owner = costs.argmin(axis=1)
+        cost = costs[rows, owner]
+        if cost.max() < least:
+            best, least = centers, cost.max()
+        left = 1.0 - step / _STEPS
+        weights = np.exp((cost - cost.max()) / (size * (0.002 + 0.03 * left)))
+        toward = centers[owner] - points
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True) + 1e-9
+        # A cost falls as its center comes nearer, and as that lies deeper.
+        pull = (toward + hull.nearest_normal(centers)[owner]) * weights[:, None]
+        gradient = np.stack(
+            [np.bincount(owner, pull[:, k], len(centers)) for k in range(3)], axis=1
+        )
+        mean = 0.9 * mean + 0.1 * gradient
+        square = 0.95 * square + 0.05 * gradient**2
+        centers = centers - 0.02 * size * left * mean / (np.sqrt(square) + 1e-7)
+        rise = np.minimum(hull.depth(centers), 0.0)  # back inside
+        centers = centers + rise[:, None] * hull.nearest_normal(centers)
+    return best
+
+
+def _closed(hull: Hull, points: np.ndarray, centers: np.ndarray) -> Cover:
+    """The smallest spheres that hold the points, grown until they hold the hull."""
+    distances, depths = _distances(points, centers), hull.depth(centers)
+    radii = np.full(len(centers), (distances - depths).min(axis=1).max()) + depths
+    # One after the other, the shallowest first, shrinks to the points that no other holds.
+    inside = distances <= radii + 1e-9
+    for i in np.argsort(depths):
         alone = inside[:, i] & (inside.sum(axis=1) == 1)
-        radii[i] = min(radii[i], distance[alone, i].max(initial=0.0) + MARGIN)
-        inside[:, i] = distance[:, i] <= radii[i] - MARGIN
-    return np.column_stack([centers, radii])[np.argsort(-radii)].round(4)
+        radii[i] = min(radii[i], distances[alone, i].max(initial=0.0))
+        inside[:, i] = distances[:, i] <= radii[i] + 1e-9
+    used = radii > 0
+    centers, radii, depths = centers[used], radii[used], depths[used]
+    radii = grown(hull, centers, radii + _SLACK) + 1e-6
+    order = np.argsort(-radii)
+    return Cover(centers[order], radii[order], depths[order])
 
 
-def describe(hull: Hull, spheres: np.ndarray, spacing: float) -> tuple[float, float]:
-    """What sticks out of the spheres at the fine samples, and the largest overshoot, in m."""
-    points = np.concatenate([hull.surface(spacing / 2), hull.interior(2.0 * spacing)])
-    out = gaps(points, spheres[:, :3], spheres[:, 3]).min(axis=1).max()
-    return float(max(out, 0.0)), float((spheres[:, 3] - hull.depth(spheres[:, :3])).max())
+def grown(hull: Hull, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Radii [m], no smaller than those given, with which spheres hold all of a hull.
+
+    The hull is cut into tetrahedra, and these into halves, until the corners of each are within one
+    sphere, which then holds all of it. For what is smaller than a millimetre and not within
+    one, the sphere that is nearest to having it grows.
+    """
+    radii = radii.copy()
+    middle = np.broadcast_to(hull.vertices.mean(axis=0), hull.triangles[:, :1].shape)
+    pieces = np.concatenate([middle, hull.triangles], axis=1)  # [T 4 3]
+    rows = max(1, _CHUNK // (8 * len(centers)))
+    while len(pieces):
+        now, rest = pieces[:rows], pieces[rows:]  # the last in are the first out: few are kept
+        distances = _distances(now.reshape(-1, 3), centers).reshape(len(now), 4, -1).max(axis=1)
+        lengths = np.linalg.norm(now[:, _EDGES[:, 0]] - now[:, _EDGES[:, 1]], axis=-1)
+        small = np.flatnonzero(lengths.max(axis=1) <= _SMALLEST)
+        for piece in small[(distances[small] > radii).all(axis=1)]:
+            if (distances[piece] > radii).all():
+                nearest = (distances[piece] - radii).argmin()
+                radii[nearest] = distances[piece, nearest]
+        left_over = (distances > radii).all(axis=1)
+        now, lengths = now[left_over], lengths[left_over]
+        row = np.arange(len(now))
+        first, second = _EDGES[lengths.argmax(axis=1)].T
+        half = (now[row, first] + now[row, second]) / 2
+        left, right = now.copy(), now.copy()
+        left[row, first], right[row, second] = half, half
+        pieces = np.concatenate([left, right, rest])
+    return radii
+
+
+_EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])

@@ -1,4 +1,4 @@
-"""MJCF files: read in the frame of the arm's base; refused where planning would misjudge them."""
+"""Models of arms: moved to the frame of their base; refused where planning would misjudge them."""
 
 import contextlib
 from collections.abc import Iterator
@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from gnnjax.arm.joints import joint_name
 from gnnjax.errors import InputError
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -31,26 +32,23 @@ def without_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def read_spec(path: Path) -> mujoco.MjSpec:
-    """Reads an MJCF and moves its world to the frame of the arm's base.
+def move_to_base(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Moves the world of a spec to the frame of the arm's base.
 
     The base is the body of the worldbody that carries all joints and is not moved by one. Where
     there is none, as for two arms or a first link that hangs in the world itself, it is the world.
 
-    Raises:
-        ValueError: MuJoCo cannot read or compile it.
+    Args:
+        spec: changed in place.
+        model: compiled from it as it is.
     """
-    spec = mujoco.MjSpec.from_file(str(path))
-    model = spec.compile()
     roots = set(model.body_rootid[model.jnt_bodyid].tolist())
     base = roots.pop() if len(roots) == 1 else 0
     if model.body_jntnum[base]:
         base = 0
     position, quat = model.body_pos[base], model.body_quat[base]
     if not position.any() and (quat == [1, 0, 0, 0]).all():
-        return spec  # not even rounded
-    if not (np.isfinite(position).all() and np.isfinite(quat).all()):
-        return spec  # refused by `load_robot`
+        return  # not even rounded
     # The world seen from the base.
     turned, moved, gravity = np.zeros(4), np.zeros(3), np.zeros(3)
     mujoco.mju_negQuat(turned, quat)
@@ -64,7 +62,6 @@ def read_spec(path: Path) -> mujoco.MjSpec:
         if element.frame is None and element is not frame:
             element.set_frame(frame)
     spec.option.gravity = gravity
-    return spec
 
 
 def check_numbers(model: mujoco.MjModel, path: Path) -> None:
@@ -99,12 +96,11 @@ def check_joints(model: mujoco.MjModel, path: Path) -> None:
         if int(model.jnt_type[j]) not in (_HINGE, _SLIDE):
             raise InputError(
                 f"joint {name} of {str(path)!r} is a free or ball joint; "
-                "planning supports hinge and slide joints"
+                "planning supports hinge and slide joints (name those to plan for: joints=[...])"
             )
         if not model.jnt_limited[j]:
             raise InputError(
-                f"joint {name} of {str(path)!r} has no limits; "
-                'give it range="lower upper" (one that turns without end: range="-3.1416 3.1416")'
+                f'joint {name} of {str(path)!r} has no limits; give it range="lower upper"'
             )
         lower, upper = model.jnt_range[j].astype(np.float32)
         if not 0 < upper - lower <= _MOST_RANGE:  # NaN and infinity fail this, too
@@ -114,20 +110,26 @@ def check_joints(model: mujoco.MjModel, path: Path) -> None:
             )
 
 
-def joint_name(model: mujoco.MjModel, j: int) -> str:
-    """How error messages call a joint."""
-    return model.joint(j).name or f"number {j}"
+def collision_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Ids of the geoms that MuJoCo collides with anything."""
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    collides[model.pair_geom1] = collides[model.pair_geom2] = True
+    return np.flatnonzero(collides)
 
 
-def self_pairs(model: mujoco.MjModel, geom_ids: np.ndarray, path: Path) -> np.ndarray:
-    """Pairs of geoms that MuJoCo would test against each other: its filters, restated.
+def links_never_meet(model: mujoco.MjModel) -> bool:
+    """Whether the bits of the collision geoms, meant for other things than the arm, pair none of
+    its links though there are some that could meet."""
+    geoms = collision_geoms(model)
+    return not len(self_pairs(model, geoms)) and len(self_pairs(model, geoms, bits=False)) > 0
 
-    Geoms are paired when their bits match and they belong to different welded bodies that are
-    neither parent and child (unless the parent is the world) nor an excluded pair. What
-    `<contact><pair>` names is paired whatever those filters say.
 
-    Raises:
-        InputError: there are links that could meet, and the bits of the geoms let none of them.
+def self_pairs(model: mujoco.MjModel, geom_ids: np.ndarray, *, bits: bool = True) -> np.ndarray:
+    """Pairs `[Q 2]` of the given geoms that MuJoCo would test: its filters, restated.
+
+    Geoms are paired when their bits match, unless these do not count, and they belong to different
+    welded bodies that are neither parent and child (unless the parent is the world) nor an excluded
+    pair. What `<contact><pair>` names is paired whatever those filters say.
     """
     weld, parent = model.body_weldid, model.body_parentid
     signatures = set(model.exclude_signature.tolist())
@@ -137,7 +139,6 @@ def self_pairs(model: mujoco.MjModel, geom_ids: np.ndarray, path: Path) -> np.nd
         tuple(sorted((row[a], row[b])))
         for a, b in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
     }
-    could_meet = False
     for i, first in enumerate(geom_ids):
         for j, second in enumerate(geom_ids[i + 1 :], start=i + 1):
             a, b = sorted((int(model.geom_bodyid[first]), int(model.geom_bodyid[second])))
@@ -148,15 +149,9 @@ def self_pairs(model: mujoco.MjModel, geom_ids: np.ndarray, path: Path) -> np.nd
                 continue
             if filter_parent and wa and wb and weld[parent[wa]] == wb:
                 continue
-            could_meet = True
-            if (model.geom_contype[first] & model.geom_conaffinity[second]) | (
-                model.geom_contype[second] & model.geom_conaffinity[first]
+            if not bits or (
+                (model.geom_contype[first] & model.geom_conaffinity[second])
+                | (model.geom_contype[second] & model.geom_conaffinity[first])
             ):
                 pairs.add((i, j))
-    if could_meet and not pairs:
-        raise InputError(
-            f"no two links of {str(path)!r} can collide, as contype and conaffinity of its geoms "
-            'have no bit in common; give them contype="1" conaffinity="1", and exclude the bodies '
-            "that may touch in <contact>"
-        )
     return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)

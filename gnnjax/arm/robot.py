@@ -1,35 +1,38 @@
-"""Robots: joint limits, kinematic constants and collision geometry, read from MJCF.
+"""Robots: joint limits, kinematic constants and collision geometry, read from MJCF or URDF.
 
 Everything here is NumPy, computed once when a robot is loaded. The arrays of `Robot` are constants
 from which `kinematics.py` and `collision/fused.py` generate their kernels.
 
-Scenes are given in the frame of the arm's base, wherever the MJCF puts that in its world. So the
-MJCF is read with its world moved to the base (`mjcf.py`), and from there on, in every kernel, in
+What an arm collides as are its parts, which are convex (`parts.py`). The first and fastest tests
+are of spheres and capsules around them (`covers.py`): where those are clear, so are the parts.
+
+Scenes are given in the frame of the arm's base, wherever the file puts that in its world. So the
+file is read with its world moved to the base (`mjcf.py`), and from there on, in every kernel, in
 MuJoCo's own models and in pictures, "the world" is the base.
 """
 
 import dataclasses
 import functools
+import logging
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from gnnjax.arm.mjcf import (
-    check_joints,
-    check_numbers,
-    joint_name,
-    read_spec,
-    self_pairs,
-    without_warnings,
-)
+from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
+from gnnjax.arm.covers import cover_parts
+from gnnjax.arm.joints import joint_name
+from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
+from gnnjax.arm.parts import CAPSULE as CAPSULE  # of `Robot.geom_types`, with SPHERE
+from gnnjax.arm.parts import SPHERE as SPHERE
+from gnnjax.arm.parts import Part, part_of_geom, quat_to_matrix
+from gnnjax.arm.reading import Reading, read_arm
 from gnnjax.errors import InputError
 
-# MuJoCo geom types that the fused collision kernel understands.
-SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
-CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_LOG = logging.getLogger(__name__)
 
 
 def assets_dir() -> Path:
@@ -63,19 +66,37 @@ class Robot:
 
     name: str
     path: Path
+    mj_spec: mujoco.MjSpec  # of `mj_model`; copy it before adding to it
     mj_model: mujoco.MjModel  # the arm alone, without obstacles
     bodies: tuple[Body, ...]  # parents before children
+    joint_names: tuple[str, ...]  # D of those that are planned for
+    held: dict[str, float]  # the other joints of the file, and where they are held, rad or m
     joint_lower: np.ndarray  # [D] rad or m
     joint_upper: np.ndarray  # [D] rad or m
-    velocity_limit: np.ndarray | None  # [D] rad/s or m/s; None where the MJCF names none
+    velocity_limit: np.ndarray | None  # [D] rad/s or m/s; None where the file does not name all
+    acceleration_limit: np.ndarray | None  # [D] rad/s^2 or m/s^2
+    torque_limit: np.ndarray | None  # [D] N m or N
     home: np.ndarray  # [D] the keyframe "home", or the middle of the joint ranges
-    geom_ids: np.ndarray  # [G] collision geoms of the MJCF
+    parts: tuple[Part, ...]  # P, the collision geometry
+    part_geom_ids: np.ndarray  # [P] geom of `mj_model` that each part is
+    part_pairs: np.ndarray  # [Q 2] indices of parts that must stay clear of each other
+    allowed_pairs: tuple[tuple[str, str], ...]  # names of parts that always touch, and may
+    # The cover: rows of spheres and capsules that enclose the parts.
+    geom_parts: np.ndarray  # [G] index into `parts`
     geom_bodies: np.ndarray  # [G] index into `bodies`, -1 for geoms fixed to the world
     geom_types: np.ndarray  # [G] MuJoCo geom type
     geom_centers: np.ndarray  # [G 3] m, in the body's frame
     geom_axes: np.ndarray  # [G 3] m, from the centre to one end of a capsule's segment, else 0
     geom_radii: np.ndarray  # [G] m
-    self_pairs: np.ndarray  # [S 2] indices of the geoms that must stay clear of each other
+    geom_inner_radii: np.ndarray  # [G] m, of what lies inside the part; not above 0: the centre is
+    # outside of it
+    self_pairs: np.ndarray  # [S 2] indices of rows of `part_pairs`
+    notes: tuple[str, ...]  # what was decided where the file leaves it open
+
+    @property
+    def geom_ids(self) -> np.ndarray:
+        """`[G]` geom of `mj_model` that each row covers."""
+        return self.part_geom_ids[self.geom_parts]
 
     @property
     def num_dof(self) -> int:
@@ -86,73 +107,94 @@ class Robot:
         return self.joint_upper - self.joint_lower
 
 
-@functools.cache
-def load_robot(robot: str | Path) -> Robot:
-    """Loads a shipped robot by name, or any arm from the path of its MJCF.
+def load_robot(
+    robot: str | Path,
+    *,
+    joints: Sequence[str] | None = None,
+    hold: Mapping[str, float] | None = None,
+    allow: Sequence[tuple[str, str]] | None = None,
+) -> Robot:
+    """Loads a shipped robot by name, or any arm from the path of its MJCF (.xml) or URDF (.urdf).
 
-    The MJCF needs hinge or slide joints with limits, and geoms with `contype` or `conaffinity` set
-    for collision. It may hold `<custom><numeric name="velocity_limit" data="..."/></custom>` and a
-    keyframe called `home`.
+    What the file leaves open is decided, logged and kept in `Robot.notes`. An MJCF may hold
+    `<custom><numeric name="velocity_limit" data="..."/></custom>`, likewise `acceleration_limit`,
+    and a keyframe called `home`. The same arguments give the same object.
+
+    Args:
+        robot: name or path.
+        joints: names of the joints to plan for, in the order of the file; by default all that are
+            neither in `hold` nor coupled to others (fingers).
+        hold: values, in rad or m, of joints that do not move; others that are not planned for are
+            held at home, or at zero.
+        allow: pairs of bodies that may touch, besides those that the file excludes.
 
     Raises:
-        InputError: unknown name, broken MJCF, or an MJCF that lacks what planning needs.
+        InputError: unknown name, a broken file, or one that lacks what planning needs.
     """
-    path = Path(robot)
-    if path.suffix != ".xml":
-        path = assets_dir() / f"{robot}.xml"
+    return _load(
+        Path(robot),
+        None if joints is None else tuple(joints),
+        tuple(sorted((hold or {}).items())),
+        tuple((str(a), str(b)) for a, b in allow or ()),
+    )
+
+
+@functools.cache
+def _load(
+    path: Path,
+    joints: tuple[str, ...] | None,
+    hold: tuple[tuple[str, float], ...],
+    allow: tuple[tuple[str, str], ...],
+) -> Robot:
+    if path.suffix not in (".xml", ".urdf"):
+        name = str(path)
+        path = assets_dir() / f"{name}.xml"
         known = sorted(
             file.stem
             for file in assets_dir().glob("*.xml")
             if "<mujoco" in file.read_text(encoding="utf-8")
         )
-        if str(robot) not in known:
+        if name not in known:
             raise InputError(
-                f"no robot {str(robot)!r} in assets/; there are {known}, "
-                "or give the path of an MJCF file ending in .xml"
+                f"no robot {name!r} in assets/; there are {known}, "
+                "or give the path of an MJCF file ending in .xml or a URDF ending in .urdf"
             )
     elif not path.is_file():
-        raise InputError(f"no MJCF file at {str(path)!r}; check the path")
+        kind = "URDF" if path.suffix == ".urdf" else "MJCF"
+        raise InputError(f"no {kind} file at {str(path)!r}; check the path")
     try:
         with without_warnings():
-            model = read_spec(path).compile()
+            reading = read_arm(path, joints, dict(hold))
+            model = reading.spec.compile()
+            robot = _robot_of(reading, model, path, allow)
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"MuJoCo cannot read {str(path)!r}: {str(error).strip()}") from None
-    return _robot_from_model(model, path)
+    for note in robot.notes:
+        _LOG.warning("%s: %s", robot.name, note)
+    return robot
 
 
-def _robot_from_model(model: mujoco.MjModel, path: Path) -> Robot:
-    check_numbers(model, path)
+def _robot_of(
+    reading: Reading, model: mujoco.MjModel, path: Path, allow: tuple[tuple[str, str], ...]
+) -> Robot:
     check_joints(model, path)
     # Only bodies that carry geoms or joints matter, but keeping all makes parents simple:
     # MuJoCo's body 0 is the world, so body b is bodies[b - 1].
     bodies = tuple(_body(model, b) for b in range(1, model.nbody))
 
-    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    collides[model.pair_geom1] = collides[model.pair_geom2] = True
-    geom_ids = np.flatnonzero(collides)
+    geom_ids = collision_geoms(model)
     if not len(geom_ids):
         raise InputError(
             f"{str(path)!r} has no collision geometry; give the robot's geoms "
-            'contype="1" conaffinity="1" (python -m gnnjax.fit fits spheres to link hulls)'
+            'contype="1" conaffinity="1" (a URDF: its links <collision>)'
         )
-    axes = np.zeros((len(geom_ids), 3))
-    for row, g in enumerate(geom_ids):
-        if model.geom_type[g] == CAPSULE:
-            axes[row] = _quat_to_matrix(model.geom_quat[g])[:, 2] * model.geom_size[g, 1]
+    parts = tuple(part_of_geom(model, g, path) for g in geom_ids.tolist())
 
-    velocity_limit = None
-    numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, "velocity_limit")
-    if numeric >= 0:
-        begin, size = model.numeric_adr[numeric], model.numeric_size[numeric]
-        velocity_limit = model.numeric_data[begin : begin + size].astype(np.float32)
-        if size != model.njnt or not ((velocity_limit > 0) & np.isfinite(velocity_limit)).all():
-            raise InputError(
-                f"velocity_limit in {str(path)!r} is {velocity_limit.tolist()}; "
-                f"it needs {model.njnt} positive numbers, one a joint"
-            )
-    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     lower, upper = (model.jnt_range[:, side].astype(np.float32) for side in (0, 1))
-    home = (model.key_qpos[key] if key >= 0 else model.jnt_range.mean(axis=1)).astype(np.float32)
+    home = model.jnt_range.mean(axis=1) if reading.home is None else reading.home
+    home = home.astype(np.float32)
     outside = ~((home >= lower) & (home <= upper))  # NaN is outside, too
     if outside.any():
         j = int(outside.argmax())
@@ -160,22 +202,55 @@ def _robot_from_model(model: mujoco.MjModel, path: Path) -> Robot:
             f"keyframe home of {str(path)!r} has {home[j]} for joint {joint_name(model, j)}; it "
             f"must lie between {lower[j]} and {upper[j]}"
         )
+
+    tested = self_pairs(model, geom_ids)
+    pairs = without_bodies(tested, parts, [body.name for body in bodies], allow, path)
+    touching = always_touching(model, geom_ids, pairs, reading.home, parts, path)
+    free = touching | bearings(model, geom_ids, pairs, parts)
+    pairs = np.array([two for two in pairs.tolist() if tuple(two) not in free], np.int64)
+    pairs = pairs.reshape(-1, 2)
+    if exclude_bodies(reading.spec, parts, tested, pairs):
+        model = reading.spec.compile()
+    allowed = tuple((parts[a].name, parts[b].name) for a, b in sorted(touching))
+    notes = reading.notes
+    if allowed:
+        named = ", ".join(f"{a} and {b}" for a, b in allowed)
+        notes = *notes, f"parts that always touch, or do at home, may: {named}"
+
+    rows = cover_parts(parts)
+    of_part = [np.flatnonzero(rows.parts == number) for number in range(len(parts))]
+    row_pairs = [
+        np.sort(np.stack(np.meshgrid(of_part[a], of_part[b]), axis=-1).reshape(-1, 2), axis=1)
+        for a, b in pairs.tolist()
+    ]
+    row_pairs = np.concatenate([np.empty((0, 2), np.int64), *row_pairs])
     return Robot(
         name=path.stem,
         path=path,
+        mj_spec=reading.spec,
         mj_model=model,
         bodies=bodies,
+        joint_names=tuple(joint_name(model, j) for j in range(model.njnt)),
+        held=reading.held,
         joint_lower=lower,
         joint_upper=upper,
-        velocity_limit=velocity_limit,
+        velocity_limit=reading.velocity_limit,
+        acceleration_limit=reading.acceleration_limit,
+        torque_limit=reading.torque_limit,
         home=home,
-        geom_ids=geom_ids,
-        geom_bodies=model.geom_bodyid[geom_ids] - 1,
-        geom_types=model.geom_type[geom_ids].copy(),
-        geom_centers=model.geom_pos[geom_ids].copy(),
-        geom_axes=axes,
-        geom_radii=model.geom_size[geom_ids, 0].copy(),
-        self_pairs=self_pairs(model, geom_ids, path),
+        parts=parts,
+        part_geom_ids=geom_ids,
+        part_pairs=pairs,
+        allowed_pairs=allowed,
+        geom_parts=rows.parts,
+        geom_bodies=np.array([parts[p].body for p in rows.parts.tolist()]),
+        geom_types=rows.types,
+        geom_centers=rows.centers,
+        geom_axes=rows.axes,
+        geom_radii=rows.radii,
+        geom_inner_radii=rows.inner_radii,
+        self_pairs=row_pairs[np.lexsort(row_pairs.T[::-1])],
+        notes=notes,
     )
 
 
@@ -194,33 +269,6 @@ def _body(model: mujoco.MjModel, b: int) -> Body:
         name=model.body(b).name,
         parent=int(model.body_parentid[b]) - 1,
         position=model.body_pos[b].copy(),
-        rotation=_quat_to_matrix(model.body_quat[b]),
+        rotation=quat_to_matrix(model.body_quat[b]),
         joints=joints,
     )
-
-
-def require_round_geoms(robot: Robot) -> None:
-    """Refuses an arm that collides as anything but spheres and capsules.
-
-    Raises:
-        InputError: names the first geom that is neither.
-    """
-    for g, kind in zip(robot.geom_ids, robot.geom_types, strict=True):
-        if kind not in (SPHERE, CAPSULE):
-            name = robot.mj_model.geom(g).name or f"number {g}"
-            raise InputError(
-                f"collision geom {name} of {robot.name} is neither sphere nor capsule; cover it "
-                "with spheres (python -m gnnjax.fit does)"
-            )
-
-
-def _quat_to_matrix(quat: np.ndarray) -> np.ndarray:
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quat)
-    # Quaternions such as (0, 0, 1, 1)/sqrt(2) leave 1e-17 where 0 is meant; exact zeros let the
-    # kernel generator drop the terms.
-    matrix[np.abs(matrix) < 1e-12] = 0.0
-    matrix[np.abs(np.abs(matrix) - 1.0) < 1e-12] = np.sign(matrix)[
-        np.abs(np.abs(matrix) - 1.0) < 1e-12
-    ]
-    return matrix.reshape(3, 3)

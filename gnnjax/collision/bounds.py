@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gnnjax.arm.robot import CAPSULE, Joint, Robot, require_round_geoms
+from gnnjax.arm.robot import CAPSULE, Joint, Robot
 from gnnjax.collision.obstacles import sum_of_squares
 from gnnjax.errors import InputError
 
@@ -27,7 +27,6 @@ class Spheres:
     """The robot as spheres, with bounds on how far each can move."""
 
     def __init__(self, robot: Robot):
-        require_round_geoms(robot)
         if not ((robot.geom_radii > 0) & np.isfinite(robot.geom_radii)).all():
             raise InputError(f"geoms of {robot.name} have radii that are not positive; mend them")
         self.robot = robot

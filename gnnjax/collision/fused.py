@@ -23,7 +23,7 @@ from gnnjax.arm.kinematics import (
     subtract,
     transform,
 )
-from gnnjax.arm.robot import CAPSULE, Robot, require_round_geoms
+from gnnjax.arm.robot import CAPSULE, Robot
 from gnnjax.scene.geometry import segment_segment_squared, segment_sum_squared
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 
@@ -44,11 +44,7 @@ def boxes_clear(
         scene: M obstacles.
         q: the arm's configuration.
         base_only: test only the geoms that no joint moves, which `Checker` leaves out.
-
-    Raises:
-        InputError: the arm has geoms other than spheres and capsules.
     """
-    require_round_geoms(robot)
     moved = moved_by_joint(robot)
     chosen = [g for g in range(len(moved)) if not (base_only and moved[g])]
     if not chosen:
@@ -130,11 +126,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
     Args:
         robot: the arm.
         axis_aligned: promise that no obstacle is rotated; the kernel then skips the rotation.
-
-    Raises:
-        InputError: the arm has geoms other than spheres and capsules.
     """
-    require_round_geoms(robot)
     geom_radii = robot.geom_radii.tolist()
     moving = np.flatnonzero(moved_by_joint(robot)).tolist()
     num_self = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)

@@ -8,7 +8,7 @@ function of their poses and sizes, which `in_components` maps over all pairs of 
 configurations. One world with all geoms under `jax.vmap`, the way MJX is mostly used, gives the
 same verdicts at 7,000 configurations a second instead of 300,000 (Kuka, nine boxes, two cores).
 Which pairs are tested is up to this module, not to the bits of the MJCF: every geom that a joint
-moves with every box that exists, and `Robot.self_pairs`.
+moves with every box that exists, and `Robot.part_pairs`.
 
 Poses are filled in from the package's own kinematics, and so are in the frame of scenes.
 `mjx.kinematics` finds the same poses (a test compares them), but under `vmap` XLA computes its
@@ -30,7 +30,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
-from gnnjax.arm.robot import CAPSULE, SPHERE, Robot
+from gnnjax.arm.parts import CAPSULE, SPHERE, quat_to_matrix
+from gnnjax.arm.robot import Robot
 from gnnjax.collision.components import in_components
 from gnnjax.collision.fused import FAR, CollisionFunctions, moved_by_joint
 from gnnjax.errors import InputError
@@ -82,9 +83,10 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
     """
     kinds = _kinds(robot)
     moving, pairs = defaultdict(list), defaultdict(list)
-    for g in np.flatnonzero(moved_by_joint(robot)).tolist():
-        moving[kinds[g]].append(g)
-    for i, j in robot.self_pairs.tolist():
+    moved = np.unique(robot.geom_parts[moved_by_joint(robot)])
+    for part in moved.tolist():
+        moving[kinds[part]].append(part)
+    for i, j in robot.part_pairs.tolist():
         # One group for two kinds, whichever of them comes first.
         i, j = (i, j) if kinds[i] <= kinds[j] else (j, i)
         pairs[kinds[i], kinds[j]].append((i, j))
@@ -174,41 +176,34 @@ def _is_of_kind(kind: _Kind, disc: jax.Array, ball: jax.Array, half_length: jax.
 
 
 def _kinds(robot: Robot) -> list[_Kind]:
-    model = robot.mj_model
-    meshes = np.where(robot.geom_types == _MESH, model.geom_dataid[robot.geom_ids], -1)
-    return [_Kind(*two) for two in zip(robot.geom_types.tolist(), meshes.tolist(), strict=True)]
+    """Of the arm's parts, which are geoms of its model."""
+    types = robot.mj_model.geom_type[robot.part_geom_ids]
+    meshes = np.where(types == _MESH, robot.mj_model.geom_dataid[robot.part_geom_ids], -1)
+    return [_Kind(*two) for two in zip(types.tolist(), meshes.tolist(), strict=True)]
 
 
 def _frames_in_bodies(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [G 3] m and rotations [G 3 3] of the arm's geoms in the frames of their bodies."""
-    positions = robot.geom_centers.copy()
+    """Positions [P 3] m and rotations [P 3 3] of the arm's parts in the frames of their bodies."""
+    positions = robot.mj_model.geom_pos[robot.part_geom_ids]
     rotations = np.empty((len(positions), 3, 3))
     for g, kind in enumerate(_kinds(robot)):
-        rotations[g] = _matrix(robot.mj_model.geom_quat[robot.geom_ids[g]])
-        if kind.type == CAPSULE:
-            quat = np.empty(4)
-            mujoco.mju_quatZ2Vec(quat, robot.geom_axes[g])
-            rotations[g] = _matrix(quat)
+        rotations[g] = quat_to_matrix(robot.mj_model.geom_quat[robot.part_geom_ids[g]])
         if kind.type == _MESH:
             # Compiling the mesh again may turn it into another frame.
             world = _world(robot, kind)
             positions[g] += rotations[g] @ world.mesh_pos[0]
-            rotations[g] = rotations[g] @ _matrix(world.mesh_quat[0])
+            rotations[g] = rotations[g] @ quat_to_matrix(world.mesh_quat[0])
     return positions, rotations
-
-
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, quat)
-    return matrix.reshape(3, 3)
 
 
 def _placer(
     robot: Robot, in_bodies: tuple[np.ndarray, np.ndarray], q: Float[Array, "B D"]
 ) -> Callable[[np.ndarray], _Geoms]:
-    """Makes the function that places geoms, given by their rows, in B configurations."""
+    """Makes the function that places parts, given by their numbers, in B configurations."""
     positions, rotations = in_bodies
-    sizes = robot.mj_model.geom_size[robot.geom_ids]
+    sizes = robot.mj_model.geom_size[robot.part_geom_ids]
+    types = robot.mj_model.geom_type[robot.part_geom_ids]
+    part_bodies = np.array([part.body for part in robot.parts])
     # Geoms that are fixed to the world have the body -1, which is the last.
     frames = [*body_frames(robot, joint_terms(robot, q)), WORLD]
 
@@ -224,7 +219,7 @@ def _placer(
     )
 
     def place(rows: np.ndarray) -> _Geoms:
-        bodies = robot.geom_bodies[rows]
+        bodies = part_bodies[rows]
         turns = [[x[bodies] for x in row] for row in body_rotations]
 
         def turned(vectors: np.ndarray) -> list[jax.Array]:
@@ -235,7 +230,7 @@ def _placer(
         offsets = turned(positions[rows])
         position = [p[bodies] + offset for p, offset in zip(body_positions, offsets, strict=True)]
         rotation = jnp.eye(3)
-        if any(robot.geom_types[rows] != SPHERE):  # which looks the same from all sides
+        if any(types[rows] != SPHERE):  # which looks the same from all sides
             axes = [turned(rotations[rows, :, j]) for j in range(3)]
             rotation = jnp.array(axes).swapaxes(0, 1)
         size = jnp.asarray(sizes[rows].T[..., None], q.dtype)
@@ -256,8 +251,7 @@ def _distance(
         model, data = mjx.put_model(world, impl="jax"), mjx.make_data(world, impl="jax")
     except (NotImplementedError, ValueError) as error:
         raise InputError(
-            f"MJX cannot collide {robot.name}: {str(error).strip()}; cover its geoms with spheres "
-            "(python -m gnnjax.fit does)"
+            f"MJX cannot collide {robot.name}: {str(error).strip()}; use the fused backend"
         ) from None
 
     def distance_of_two(

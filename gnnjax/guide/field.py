@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from gnnjax.arm.kinematics import body_frames, joint_terms, transform
-from gnnjax.arm.robot import CAPSULE, Robot, require_round_geoms
+from gnnjax.arm.robot import CAPSULE, Robot
 from gnnjax.collision.fused import moved_by_joint
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.roadmap.graph import Roadmap
@@ -44,7 +44,6 @@ class _Spheres(NamedTuple):
 
 def _spheres(robot: Robot) -> _Spheres:
     """The arm's moving geoms; capsules as chains of spheres."""
-    require_round_geoms(robot)
     bodies, centers, radii = [], [], []
     for g in np.flatnonzero(moved_by_joint(robot)):
         steps, radius = np.zeros(1), float(robot.geom_radii[g])

@@ -36,7 +36,9 @@ def choose_points(robot: Robot, num: int) -> tuple[int, ...]:
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.home
     mujoco.mj_kinematics(robot.mj_model, data)
-    centers = data.geom_xpos[robot.geom_ids[moving]]
+    bodies = robot.geom_bodies[moving] + 1
+    turns = data.xmat[bodies].reshape(-1, 3, 3)
+    centers = data.xpos[bodies] + np.einsum("gij,gj->gi", turns, robot.geom_centers[moving])
     chosen = [len(moving) - 1]
     while len(chosen) < min(num, len(moving)):
         gaps = np.linalg.norm(centers[:, None] - centers[chosen], axis=-1).min(axis=1)

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from gnnjax.arm.mjcf import read_spec
 from gnnjax.arm.robot import Robot
 from gnnjax.scene.scene import Scene
 from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
@@ -42,7 +41,7 @@ def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
     Each is a mocap body of its own. A geom that sits in the worldbody and is moved after
     compilation would keep the bounding volume of its old place, and the C engine would miss it.
     """
-    spec = read_spec(robot.path)
+    spec = robot.mj_spec.copy()
     spec.option.disableflags &= ~_HIDING
     spec.memory = -1  # as much as the contacts need, whatever the MJCF says
     prefix = "box_"
@@ -93,7 +92,7 @@ def _paired_alone(robot: Robot) -> list[str]:
     model = robot.mj_model
     return [
         model.geom(g).name  # they have names, or no pair could name them
-        for g in robot.geom_ids.tolist()
+        for g in robot.part_geom_ids.tolist()
         if not (model.geom_contype[g] or model.geom_conaffinity[g])
         and model.body_weldid[model.geom_bodyid[g]]
     ]

@@ -1,0 +1,160 @@
+"""Pairs of parts that an arm need not keep apart: they always touch, or never do."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from gnnjax.arm.parts import Part
+from gnnjax.errors import InputError
+
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_SAMPLES = 2000  # configurations
+# Flags of a model that would hide contacts.
+_HIDING = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+
+def without_bodies(
+    pairs: np.ndarray,
+    parts: Sequence[Part],
+    bodies: Sequence[str],
+    allow: Sequence[tuple[str, str]],
+    path: Path,
+) -> np.ndarray:
+    """Pairs `[Q 2]` of parts less those of the bodies in `allow`, which are named.
+
+    Raises:
+        InputError: no body of that name.
+    """
+    known = ["world", *bodies]
+    if unknown := [name for two in allow for name in two if name not in known]:
+        raise InputError(f"no body {unknown[0]!r} in {str(path)!r} to allow; there are {known}")
+    allowed = {frozenset(two) for two in allow}
+    keep = [
+        frozenset((known[parts[a].body + 1], known[parts[b].body + 1])) not in allowed
+        for a, b in pairs.tolist()
+    ]
+    return pairs[np.array(keep, bool)]
+
+
+def bearings(
+    model: mujoco.MjModel, geoms: np.ndarray, pairs: np.ndarray, parts: Sequence[Part]
+) -> set[tuple[int, int]]:
+    """Those of `pairs` where the base and the first link meet, and never by more than 2 mm.
+
+    MuJoCo leaves out neighbours in an arm, but not the neighbours of what is fixed to the world.
+    Round parts stay paired: their covers are as they are, and know by themselves.
+    """
+    found, data = set(), mujoco.MjData(model)
+    for a, b in pairs.tolist():
+        links = [int(model.body_weldid[model.geom_bodyid[geoms[x]]]) for x in (a, b)]
+        link = max(links)
+        if min(links) or model.body_weldid[model.body_parentid[link]]:
+            continue
+        if model.body_jntnum[link] != 1 or max(len(parts[x].vertices) for x in (a, b)) < 3:
+            continue
+        j = int(model.body_jntadr[link])
+        lower, upper = model.jnt_range[j]
+        # No point of the link moves by more than 2 mm from one of these places to the next, and so
+        # by more than 1 mm from the nearest.
+        reach = np.linalg.norm(model.geom_pos[geoms[[a, b]]], axis=1).max()
+        reach += model.geom_rbound[geoms[[a, b]]].max() + np.linalg.norm(model.jnt_pos[j])
+        reach = reach if int(model.jnt_type[j]) == _HINGE else 1.0
+        data.qpos[:] = model.jnt_range.mean(axis=1)
+        deepest = np.inf
+        for value in np.linspace(lower, upper, 2 + int((upper - lower) * reach / 2e-3)):
+            data.qpos[j] = value
+            mujoco.mj_kinematics(model, data)
+            first, second = (int(geoms[x]) for x in (a, b))
+            deepest = min(deepest, mujoco.mj_geomDistance(model, data, first, second, 0.1, None))
+            if deepest < -1e-3:
+                break
+        else:
+            found.add((a, b))
+    return found
+
+
+def always_touching(
+    model: mujoco.MjModel,
+    geoms: np.ndarray,
+    pairs: np.ndarray,
+    home: np.ndarray | None,
+    parts: Sequence[Part],
+    path: Path,
+) -> set[tuple[int, int]]:
+    """Those of `pairs` that MuJoCo finds in contact in every one of some random configurations, or
+    in the home that the model's author chose.
+
+    Args:
+        model: the arm alone.
+        geoms: `[P]` geom of each part.
+        pairs: `[Q 2]` of parts.
+        home: `[D]` rad or m, if there is one.
+        parts: of the arm.
+        path: for messages.
+
+    Raises:
+        InputError: others are in contact in all of them.
+    """
+    if not len(pairs):
+        return set()
+    flags, memory = model.opt.disableflags, mujoco.MjData(model)
+    model.opt.disableflags = flags & ~_HIDING
+    rng, kept = np.random.default_rng(0), {tuple(pair) for pair in pairs.tolist()}
+    row = np.full(model.ngeom, -1)
+    row[geoms] = np.arange(len(geoms))
+
+    def touching(q: np.ndarray) -> set[tuple[int, int]]:
+        memory.qpos[:] = q
+        mujoco.mj_kinematics(model, memory)
+        mujoco.mj_comPos(model, memory)
+        mujoco.mj_collision(model, memory)
+        contacts = memory.contact
+        deep = row[contacts.geom[: memory.ncon][contacts.dist[: memory.ncon] < 0]]
+        return {tuple(two) for two in np.sort(deep, axis=1).tolist()} & kept
+
+    lower, upper = model.jnt_range.T
+    samples = rng.uniform(lower, upper, (_SAMPLES, model.nq))
+    try:
+        found = [touching(q) for q in samples]
+        always = set.intersection(*found)
+        if home is not None:
+            always |= touching(home)
+    finally:
+        model.opt.disableflags = flags
+    left = [pairs_of_one - always for pairs_of_one in found]
+    if all(left):
+        (a, b), count = Counter(pair for one in left for pair in one).most_common(1)[0]
+        raise InputError(
+            f"{path.name!r} collides with itself in all of {_SAMPLES} random configurations, "
+            f"{parts[a].name} with {parts[b].name} in {count}; if they may touch, give "
+            "allow=[(body, body)], or exclude them in the MJCF (<contact><exclude .../>)"
+        )
+    return always
+
+
+def exclude_bodies(
+    spec: mujoco.MjSpec, parts: Sequence[Part], pairs: np.ndarray, kept: np.ndarray
+) -> bool:
+    """Excludes from a spec the bodies of which no pair of parts is kept, so that MuJoCo's engine
+    judges as planning does; whether there are any. It cannot tell parts of one body apart.
+
+    Args:
+        spec: changed in place; its bodies are those of the model that `parts` are of.
+        parts: of the arm.
+        pairs: `[Q 2]` of parts that MuJoCo tests.
+        kept: `[K 2]` of parts that must stay clear.
+    """
+    bodies = np.array([part.body + 1 for part in parts])
+    gone = {tuple(sorted(two)) for two in bodies[pairs].tolist()}
+    gone -= {tuple(sorted(two)) for two in bodies[kept].tolist()}
+    by_id = {body.id: body for body in spec.bodies}
+    for two in sorted(gone):
+        for number in two:
+            if number and not by_id[number].name:
+                by_id[number].name = f"body_{number}"
+        first, second = (by_id[number].name if number else "world" for number in two)
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+    return bool(gone)

@@ -1,0 +1,128 @@
+"""Covers: the spheres and capsules that the fast tests have in place of an arm's parts.
+
+A part that is a sphere or a capsule is its own cover. Others get spheres (`fit.py`), which takes a
+second or two a part; so covers are kept in the user's cache folder, each as soon as it is there.
+"""
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from gnnjax.arm.fit import Cover, fit_covers
+from gnnjax.arm.parts import CAPSULE, SPHERE, Part
+from gnnjax.files import atomic_write, cache_folder
+
+_LOG = logging.getLogger(__name__)
+
+OVERSHOOT = 0.015  # m; a part whose spheres reach no further out of it has enough of them
+_MOST = 12  # spheres of a part
+_MOST_OF_ALL, _MOST_EACH = (
+    60,
+    3,
+)  # spheres of an arm, or of its parts in the mean, if these are many
+_VERSION = 1  # of the fit; covers of another one are fitted anew
+
+
+class Rows(NamedTuple):
+    """The spheres and capsules of all parts, as `Robot` has them."""
+
+    parts: np.ndarray  # [G] index of the part that each belongs to
+    types: np.ndarray  # [G] MuJoCo geom type
+    centers: np.ndarray  # [G 3] m
+    axes: np.ndarray  # [G 3] m, from the centre to one end of a capsule's segment, else 0
+    radii: np.ndarray  # [G] m
+    inner_radii: np.ndarray  # [G] m, of what is inside the part, about the same centre or segment
+
+
+def cover_parts(parts: Sequence[Part]) -> Rows:
+    """Covers parts by spheres and capsules, in their order."""
+    covers = iter(_share(_fitted([part for part in parts if len(part.vertices) > 2])))
+    rows = []
+    for number, part in enumerate(parts):
+        if len(part.vertices) > 2:
+            cover = next(covers)
+            for center, radius, depth in zip(*cover, strict=True):
+                rows.append((number, SPHERE, center, np.zeros(3), radius, depth))
+        else:
+            kind = CAPSULE if len(part.vertices) == 2 else SPHERE
+            center = part.vertices.mean(axis=0)
+            rows.append(
+                (number, kind, center, part.vertices[-1] - center, part.radius, part.radius)
+            )
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    return Rows(*columns)
+
+
+def _share(choices: list[list[Cover]]) -> list[Cover]:
+    """Chooses a cover of each part: spheres go to where they reach out furthest."""
+    chosen = [0] * len(choices)
+    left = max(_MOST_OF_ALL, _MOST_EACH * len(choices)) - sum(len(x[0].radii) for x in choices)
+    while True:
+        better = [
+            (choices[i][k].overshoot, len(choices[i][k + 1].radii) - len(choices[i][k].radii), i)
+            for i, k in enumerate(chosen)
+            if k + 1 < len(choices[i]) and choices[i][k].overshoot > OVERSHOOT
+        ]
+        better = [(over, cost, i) for over, cost, i in better if cost <= left]
+        if not better:
+            return [covers[k] for covers, k in zip(choices, chosen, strict=True)]
+        _, cost, i = max(better)
+        chosen[i] += 1
+        left -= cost
+
+
+def _fitted(parts: list[Part]) -> list[list[Cover]]:
+    """Covers of each part, of one sphere and more, from the cache or fitted."""
+    files = [_file(part) for part in parts]
+    found = [_read(file) for file in files]
+    missing = [i for i, covers in enumerate(found) if not covers]
+    if not missing:
+        return found
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=len(missing))
+        for i in missing:
+            progress.update(task, description=f"fitting spheres to {parts[i].name}, once")
+            found[i] = [
+                Cover(fit.centers, fit.radii + parts[i].radius, fit.depths + parts[i].radius)
+                for fit in fit_covers(parts[i].vertices, overshoot=OVERSHOOT, most=_MOST)
+            ]
+            _save(files[i], found[i])
+            progress.advance(task)
+    return found
+
+
+def _file(part: Part) -> Path:
+    key = hashlib.sha256(np.ascontiguousarray(part.vertices, float).tobytes())
+    key.update(repr((_VERSION, part.radius, OVERSHOOT, _MOST)).encode())
+    return cache_folder("covers") / f"{key.hexdigest()[:32]}.npy"
+
+
+def _read(file: Path) -> list[Cover]:
+    """Covers that were kept, or none where there are none that can be read."""
+    try:
+        table = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError):  # not there, or damaged: they are fitted anew
+        return []
+    if table.ndim != 2 or table.shape[1] != 6 or not np.isfinite(table).all():
+        return []
+    covers = [table[table[:, 0] == number, 1:] for number in np.unique(table[:, 0])]
+    return [Cover(rows[:, :3], rows[:, 3], rows[:, 4]) for rows in covers]
+
+
+def _save(file: Path, covers: list[Cover]) -> None:
+    tables = [
+        np.column_stack([np.full(len(x.radii), number), x.centers, x.radii, x.depths])
+        for number, x in enumerate(covers)
+    ]
+    try:
+        atomic_write(file, lambda part: np.save(part, np.concatenate(tables)))
+    except OSError as error:  # a full disk, a folder of somebody else: they are fitted again then
+        _LOG.warning("spheres are not kept in %s: %s", file.parent, error.strerror)

@@ -1,0 +1,147 @@
+"""Reads an arm from MJCF or URDF: the joints that are planned for, seen from the arm's base."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from gnnjax.arm.joints import choose_joints, hold_joints, joint_name
+from gnnjax.arm.mjcf import check_numbers, collision_geoms, links_never_meet, move_to_base
+from gnnjax.arm.parts import geom_name
+from gnnjax.arm.urdf import read_urdf
+from gnnjax.errors import InputError
+
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_TRN_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+# What stands for the surroundings where it is fixed to the world.
+_GROUND = {
+    int(mujoco.mjtGeom.mjGEOM_PLANE): "plane",
+    int(mujoco.mjtGeom.mjGEOM_HFIELD): "height field",
+}
+
+
+class Reading(NamedTuple):
+    """An arm of D joints, as its file has it."""
+
+    spec: mujoco.MjSpec  # of the planned joints alone; "the world" is the arm's base
+    held: dict[str, float]  # joints that are not planned for, rad or m; 0: free and ball joints
+    home: np.ndarray | None  # [D] the keyframe "home"
+    velocity_limit: np.ndarray | None  # [D] rad/s or m/s; None where one is not given
+    acceleration_limit: np.ndarray | None  # [D] rad/s^2 or m/s^2
+    torque_limit: np.ndarray | None  # [D] N m or N
+    notes: tuple[str, ...]  # what was decided where the file leaves it open
+
+
+def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]) -> Reading:
+    """Reads an arm; see `load_robot`.
+
+    Raises:
+        InputError: the file lacks what planning needs, or `joints` and `hold` do not fit it.
+        ValueError: MuJoCo cannot read or compile it.
+    """
+    velocities: dict[str, float] = {}
+    if path.suffix == ".urdf":
+        spec, velocities = read_urdf(path)
+    else:
+        spec = mujoco.MjSpec.from_file(str(path))
+    model, notes = spec.compile(), []
+    check_numbers(model, path)
+    choice = choose_joints(model, path, joints, hold)
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    home = None
+    if key >= 0:
+        home = model.key_qpos[key, model.jnt_qposadr[choice.planned]].copy()
+    limits = (
+        _numeric(model, path, "velocity_limit", choice.planned),
+        _numeric(model, path, "acceleration_limit", choice.planned),
+        _torques(model, choice.planned),
+    )
+    if velocities and all(joint_name(model, j) in velocities for j in choice.planned):
+        given = np.array([velocities[joint_name(model, j)] for j in choice.planned], np.float32)
+        limits = given, *limits[1:]
+
+    endless = [
+        j for j in choice.planned if int(model.jnt_type[j]) == _HINGE and not model.jnt_limited[j]
+    ]
+    for j, joint in ((joint.id, joint) for joint in spec.joints):
+        if j in endless:
+            half = 180.0 if spec.compiler.degree else math.pi
+            joint.range, joint.limited = [-half, half], mujoco.mjtLimited.mjLIMITED_TRUE
+            if home is not None:
+                index = choice.planned.index(j)
+                home[index] = math.remainder(home[index], 2 * math.pi)
+    if endless:
+        names = ", ".join(joint_name(model, j) for j in endless)
+        notes.append(f"joints without limits are planned within half a turn either way: {names}")
+    ground = [
+        g
+        for g in collision_geoms(model).tolist()
+        if int(model.geom_type[g]) in _GROUND and not model.body_weldid[model.geom_bodyid[g]]
+    ]
+    if ground:
+        _remove_geoms(spec, model, set(ground))
+        names = ", ".join(
+            f"{_GROUND[int(model.geom_type[g])]} {geom_name(model, g)}" for g in ground
+        )
+        notes.append(f"no part of the arm, and left out: {names}; put it into the scene")
+    if choice.held:
+        hold_joints(spec, model, choice.held)
+    held = {joint_name(model, j): value for j, value in choice.held.items()}
+    if open_ones := [f"{name} at {x:.4g}" for name, x in held.items() if name not in hold]:
+        notes.append(f"joints that are not planned for are held: {', '.join(open_ones)}")
+    if endless or ground or choice.held:
+        model = spec.compile()
+    if links_never_meet(model):
+        for geom in spec.geoms:
+            if model.geom_contype[geom.id] or model.geom_conaffinity[geom.id]:
+                geom.contype, geom.conaffinity = 1, 1
+        notes.append("contype and conaffinity let no two links meet; here all but neighbours do")
+    move_to_base(spec, model)
+    return Reading(spec, held, home, *limits, tuple(notes))
+
+
+def _remove_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, geoms: set[int]) -> None:
+    pairs = list(spec.pairs)
+    for pair, first, second in zip(pairs, model.pair_geom1, model.pair_geom2, strict=True):
+        if geoms & {int(first), int(second)}:
+            spec.delete(pair)
+    for geom in [geom for geom in spec.geoms if geom.id in geoms]:  # ids change with each
+        spec.delete(geom)
+
+
+def _numeric(model: mujoco.MjModel, path: Path, name: str, planned: list[int]) -> np.ndarray | None:
+    """Numbers of the planned joints, from a `<numeric>` with one for each joint, or each of them.
+
+    Raises:
+        InputError: another number of them, or one that is not positive.
+    """
+    numeric = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    if numeric < 0:
+        return None
+    begin, size = model.numeric_adr[numeric], model.numeric_size[numeric]
+    values = model.numeric_data[begin : begin + size].astype(np.float32)
+    if size not in (model.njnt, len(planned)) or not ((values > 0) & np.isfinite(values)).all():
+        raise InputError(
+            f"{name} in {str(path)!r} is {values.tolist()}; "
+            f"it needs {model.njnt} positive numbers, one a joint"
+        )
+    return values[planned] if size == model.njnt else values
+
+
+def _torques(model: mujoco.MjModel, planned: list[int]) -> np.ndarray | None:
+    """What each planned joint can exert either way, by its own limits and those of its actuators;
+    None where one has none."""
+    limits = np.full(model.njnt, np.inf)
+    for j in planned:
+        if model.jnt_actfrclimited[j]:
+            limits[j] = np.abs(model.jnt_actfrcrange[j]).min()
+    for a in range(model.nu):
+        j = int(model.actuator_trnid[a, 0])
+        if int(model.actuator_trntype[a]) in _TRN_JOINTS and model.actuator_forcelimited[a]:
+            force = np.abs(model.actuator_forcerange[a]).min()
+            limits[j] = min(limits[j], force * abs(model.actuator_gear[a, 0]))
+    chosen = limits[planned]
+    return chosen.astype(np.float32) if ((chosen > 0) & np.isfinite(chosen)).all() else None

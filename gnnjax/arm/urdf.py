@@ -1,0 +1,178 @@
+"""URDF files: handed to MuJoCo's own reader in a form that it takes.
+
+Visual geometry is left out, and the meshes of the rest are found, read and given along: MuJoCo
+knows neither `package://` nor text STL, and takes no more than 200,000 faces. What it cannot
+read is given as its convex hull, which is what MuJoCo collides a mesh as.
+"""
+
+import contextlib
+import struct
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from gnnjax.errors import InputError
+
+_MOST_FACES = 200_000  # of MuJoCo's STL reader
+_STL_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("color", "<u2")])
+# Bodies keep their names, and links without masses, which are many, get a gram: planning needs
+# none, and MuJoCo refuses a joint that moves nothing.
+_COMPILER = {
+    "strippath": "false",
+    "fusestatic": "false",
+    "discardvisual": "true",
+    "balanceinertia": "true",
+    "boundmass": "1e-3",
+    "boundinertia": "1e-6",
+}
+
+
+def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, float]]:
+    """Reads a URDF, and the velocity limits of its joints by name, in rad/s or m/s.
+
+    Raises:
+        InputError: it is no URDF, or a mesh is missing or cannot be read.
+        ValueError: MuJoCo cannot read it.
+    """
+    try:
+        root = ET.fromstring(path.read_bytes())
+    except ET.ParseError as error:
+        raise InputError(f"{str(path)!r} is no XML: {error}; check the file") from None
+    if root.tag != "robot":
+        raise InputError(f"{str(path)!r} begins with <{root.tag}>; a URDF begins with <robot>")
+    if any("xacro" in str(element.tag) for element in root.iter()):
+        raise InputError(
+            f"{str(path)!r} holds xacro macros; expand them first (xacro FILE.xacro > FILE.urdf)"
+        )
+    folders = [path.parent]
+    for element in root.findall("mujoco"):
+        folders += [path.parent / x.get("meshdir", "") for x in element.findall("compiler")]
+        root.remove(element)
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", _COMPILER)
+    assets: dict[str, bytes] = {}
+    names: dict[tuple[Path, str], str] = {}
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+        for mesh in link.iter("mesh"):
+            file = _find(mesh.get("filename", ""), folders, path)
+            scale = mesh.get("scale", "1 1 1")
+            if (file, scale) not in names:
+                ending, data = _load(file)
+                names[file, scale] = f"mesh_{len(names)}{ending}"
+                assets[names[file, scale]] = data
+            mesh.set("filename", names[file, scale])
+    velocities = {}
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        with contextlib.suppress(ValueError):  # a word in place of a number is no limit
+            if limit is not None and 0 < float(limit.get("velocity", "0")) < np.inf:
+                velocities[joint.get("name", "")] = float(limit.get("velocity", "0"))
+    text = ET.tostring(root, encoding="unicode")
+    return mujoco.MjSpec.from_string(text, assets=assets), velocities
+
+
+def _find(name: str, folders: list[Path], urdf: Path) -> Path:
+    """The file that a URDF calls `name`.
+
+    What stands after `package://PACKAGE/` lies in a folder called PACKAGE above the URDF or beside
+    one that is above it, as in any checkout of the package.
+    """
+    above = [folder.resolve() for folder in urdf.resolve().parents]
+    scheme, _, rest = name.rpartition("://")
+    if scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        tried = [folder / inside for folder in above if folder.name == package]
+        tried += [folder / package / inside for folder in above]
+        tried += [folder / inside for folder in above[:4]]  # a package in a folder called otherwise
+    elif scheme in ("", "file"):
+        tried = [folder / rest for folder in folders]
+        tried += [folder / Path(rest).name for folder in folders]
+    else:
+        raise InputError(f"mesh {name!r} of {str(urdf)!r} is on no disk; save it beside the URDF")
+    for file in tried:
+        if file.is_file():
+            return file
+    raise InputError(
+        f"mesh {name!r} of {str(urdf)!r} is not there, nor at {str(tried[0])!r}; put it where the "
+        "URDF says, packages beside or above the URDF's folder"
+    )
+
+
+def _load(file: Path) -> tuple[str, bytes]:
+    """A mesh as MuJoCo reads it: the ending of its name, and its bytes."""
+    ending = file.suffix.lower()
+    data = file.read_bytes()
+    if ending == ".obj":
+        return ending, data
+    if ending == ".stl" and data[:5].lower() == b"solid" and b"vertex" in data[:2000]:
+        return ".stl", _hull_stl(_text_stl(data, file), file)
+    if ending == ".stl":
+        (count,) = struct.unpack_from("<I", data, 80) if len(data) >= 84 else (0,)
+        size = 84 + count * _STL_FACE.itemsize
+        if len(data) < size:
+            raise InputError(f"mesh {str(file)!r} ends too early for an STL; export it again")
+        if len(data) == size and 0 < count <= _MOST_FACES:
+            return ".stl", data
+        faces = np.frombuffer(data, _STL_FACE, count, 84) if count else np.empty(0, _STL_FACE)
+        return ".stl", _hull_stl(faces["corners"].reshape(-1, 3), file)
+    return ".stl", _hull_stl(_by_trimesh(file), file)
+
+
+def _text_stl(data: bytes, file: Path) -> np.ndarray:
+    """The corners [N 3] of a text STL."""
+    words = [line.split() for line in data.split(b"\n")]
+    try:
+        return np.array([line[1:4] for line in words if line[:1] == [b"vertex"]], float)
+    except ValueError:
+        raise InputError(f"mesh {str(file)!r} is no STL; export it again") from None
+
+
+def _by_trimesh(file: Path) -> np.ndarray:
+    """The vertices [N 3] of a mesh in another format."""
+    try:
+        import trimesh
+    except ImportError:
+        raise InputError(
+            f"mesh {str(file)!r} is neither STL nor OBJ; convert it, or install what can read it "
+            "(pip install trimesh pycollada)"
+        ) from None
+    try:
+        mesh = trimesh.load(str(file), force="mesh")
+    except Exception as error:  # each of its readers raises its own
+        raise InputError(f"mesh {str(file)!r} cannot be read: {error}; make it an STL") from None
+    scale = 1.0
+    if (
+        file.suffix.lower() == ".dae"
+    ):  # in a unit that the file names, which trimesh leaves as it is
+        unit = ET.parse(file).getroot().find("{*}asset/{*}unit")
+        scale = float(unit.get("meter", "1")) if unit is not None else 1.0
+    return np.asarray(mesh.vertices, float) * scale
+
+
+def _hull_stl(points: np.ndarray, file: Path) -> bytes:
+    """The convex hull of points [N 3], as an STL.
+
+    Raises:
+        InputError: there are no points, or they have no volume.
+    """
+    from scipy.spatial import ConvexHull, QhullError  # half a second, for such meshes alone
+
+    if not len(points):
+        raise InputError(f"mesh {str(file)!r} is empty; export it again")
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        raise InputError(
+            f"mesh {str(file)!r} is flat or not finite; give it a volume, or use a box"
+        ) from None
+    triangles = points[hull.simplices]
+    # Outwards, as MuJoCo demands.
+    a, b, c = triangles.swapaxes(0, 1)
+    inwards = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    triangles[inwards] = triangles[inwards, ::-1]
+    faces = np.zeros(len(triangles), _STL_FACE)
+    faces["corners"] = triangles
+    return bytes(80) + struct.pack("<I", len(faces)) + faces.tobytes()

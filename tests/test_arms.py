@@ -1,0 +1,332 @@
+"""Arms of all kinds: parts of any shape, joints that are held, pairs that always touch."""
+
+import dataclasses
+import logging
+
+import mujoco
+import numpy as np
+import pytest
+
+from gnnjax.arm.robot import load_robot
+from gnnjax.errors import InputError
+
+GRIPPER = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <default><geom mass="0.1"/></default>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" pos="0 0 -0.3"/>
+    <body name="base"><geom type="cylinder" size="0.08 0.05"/>
+      <body name="arm" pos="0 0 0.1"><joint name="turn" axis="0 0 1"/>
+        <geom type="box" size="0.04 0.04 0.15" pos="0 0 0.15"/>
+        <frame pos="0 0 0.3" euler="0.2 0 0">
+          <body name="hand" euler="0.1 0.2 0.3">
+            <joint name="bend" axis="0 1 0" range="-2 2" actuatorfrcrange="-30 40"/>
+            <joint name="slip" type="slide" axis="0 0.6 0.8" range="-0.1 0.1" pos="0.1 0 0"/>
+            <geom name="palm" type="ellipsoid" size="0.05 0.03 0.02" pos="0 0 0.06"/>
+            <body name="left" pos="0 0.03 0.12">
+              <joint name="left" type="slide" axis="0 1 0" range="0 0.04"/>
+              <geom name="left" type="capsule" size="0.008 0.02"/>
+            </body>
+            <body name="right" pos="0 -0.03 0.12">
+              <joint name="right" type="slide" axis="0 -1 0" range="0 0.04"/>
+              <geom name="right" type="capsule" size="0.008 0.02"/>
+            </body>
+          </body>
+        </frame>
+      </body>
+    </body>
+  </worldbody>
+  COUPLING
+  <actuator><motor joint="turn" gear="10" forcerange="-5 5"/><motor joint="bend"/>
+    <motor joint="slip" forcerange="-7 7"/></actuator>
+  <sensor><jointpos joint="left"/></sensor>
+  <keyframe><key name="home" qpos="0.1 0.5 0.02 0.03 0.03"/></keyframe>
+</mujoco>
+"""
+EQUALITY = (
+    '<equality><joint joint1="right" joint2="left" polycoef="0.005 0.5 0 0 0"/></equality>'
+    '<contact><exclude body1="left" body2="right"/></contact>'
+)
+TENDON = (
+    '<tendon><fixed name="grip"><joint joint="left" coef="1"/><joint joint="right" coef="1"/>'
+    '</fixed></tendon><equality><tendon tendon1="grip"/></equality>'
+)
+LOOP = '<equality><connect body1="left" body2="right" anchor="0 0 0"/></equality>'
+
+
+def written(folder, coupling=EQUALITY, change=lambda text: text):
+    path = folder / "gripper.xml"
+    path.write_text(change(GRIPPER.replace("COUPLING", coupling)))
+    return path
+
+
+def same_poses(robot, held):
+    """Whether geoms are where they are in the whole arm, at random configurations."""
+    whole = mujoco.MjModel.from_xml_path(str(robot.path))
+    there, here = mujoco.MjData(whole), mujoco.MjData(robot.mj_model)
+    rng = np.random.default_rng(0)
+    names = ["palm", "left", "right"]
+    for _ in range(20):
+        q = rng.uniform(robot.joint_lower, robot.joint_upper)
+        for name, value in [*held.items(), *zip(robot.joint_names, q, strict=True)]:
+            there.joint(name).qpos[:] = value
+        here.qpos[:] = q
+        mujoco.mj_kinematics(whole, there)
+        mujoco.mj_kinematics(robot.mj_model, here)
+        for name in names:
+            np.testing.assert_allclose(here.geom(name).xpos, there.geom(name).xpos, atol=1e-9)
+            np.testing.assert_allclose(here.geom(name).xmat, there.geom(name).xmat, atol=1e-9)
+    return True
+
+
+@pytest.mark.parametrize(
+    ("coupling", "right"), [(EQUALITY, 0.005 + 0.5 * 0.03), (TENDON, 0.03), (LOOP, 0.03)]
+)
+def test_fingers_that_are_coupled_are_held_at_home(tmp_path, caplog, coupling, right):
+    robot = load_robot(written(tmp_path, coupling))
+    assert robot.joint_names == ("turn", "bend", "slip")
+    assert robot.held == pytest.approx({"left": 0.03, "right": right})
+    assert "joints that are not planned for are held: left at 0.03, right at" in caplog.text
+    np.testing.assert_allclose(robot.home, [0.1, 0.5, 0.02], atol=1e-7)
+    assert same_poses(robot, robot.held)
+    assert robot.mj_model.neq == (coupling is LOOP)
+
+
+def test_what_is_held_takes_what_follows_it_along(tmp_path):
+    path = written(tmp_path)
+    robot = load_robot(path, joints=["turn", "slip"], hold={"left": 0.01, "bend": -1.0})
+    assert robot.held == pytest.approx({"bend": -1.0, "left": 0.01, "right": 0.01})
+    assert robot.joint_names == ("turn", "slip")
+    assert same_poses(robot, robot.held)
+    # Another one before the one that is held, in the same body.
+    robot = load_robot(path, joints=["turn", "bend"], hold={"slip": 0.05, "right": 0.04})
+    assert robot.held == pytest.approx({"slip": 0.05, "left": 0.03, "right": 0.04})
+    assert same_poses(robot, robot.held)
+
+
+def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(tmp_path):
+    path = written(tmp_path)
+    first = load_robot(path, joints=["turn", "bend"], hold={"slip": 0.0}, allow=[("arm", "left")])
+    again = load_robot(
+        str(path), joints=("turn", "bend"), hold={"slip": 0.0}, allow=(("arm", "left"),)
+    )
+    assert first is again
+    assert first is not load_robot(path)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"joints": ["turn", "elbow"]}, "no joint 'elbow' in .*; there are .*'turn', 'bend'"),
+        ({"hold": {"elbow": 0.0}}, "no joint 'elbow'"),
+        ({"joints": ["bend", "turn"]}, r"name each once, in the order \['turn', 'bend'\]"),
+        ({"joints": ["turn", "turn"]}, "name each once"),
+        ({"joints": []}, "name each once"),
+        ({"joints": ["turn"], "hold": {"turn": 0.0}}, "'turn' is to be planned for and held"),
+        ({"hold": {"left": 0.05}}, "'left' is to be held at 0.05; it must lie between 0 and 0.04"),
+        ({"hold": {"left": float("nan")}}, "is to be held at nan"),
+        ({"joints": ["left", "right"]}, "'right' of .* follows 'left'; plan for one of them"),
+        ({"hold": {"turn": 0.0, "bend": 0.0, "slip": 0.0}}, "all joints of .* are held or coupled"),
+        ({"allow": [("arm", "elbow")]}, "no body 'elbow' in .* to allow; there are .*'hand'"),
+    ],
+)
+def test_joints_and_bodies_that_do_not_fit_are_refused(tmp_path, settings, message):
+    with pytest.raises(InputError, match=message):
+        load_robot(written(tmp_path), **settings)
+
+
+def test_a_joint_without_limits_gets_half_a_turn_either_way(tmp_path, caplog):
+    path = written(tmp_path, change=lambda text: text.replace("0.1 0.5 0.02", "3.5 0.5 0.02"))
+    robot = load_robot(path)
+    np.testing.assert_allclose([robot.joint_lower[0], robot.joint_upper[0]], [-np.pi, np.pi])
+    np.testing.assert_allclose(robot.home[0], 3.5 - 2 * np.pi, atol=1e-6)
+    assert "joints without limits are planned within half a turn either way: turn" in caplog.text
+    degrees = written(
+        tmp_path, change=lambda text: text.replace("radian", "degree").replace("0.1 0.5", "0 0")
+    )
+    again = load_robot(degrees.rename(tmp_path / "degrees.xml"))
+    np.testing.assert_allclose([again.joint_lower[0], again.joint_upper[0]], [-np.pi, np.pi])
+
+
+def test_a_floor_is_no_part_of_the_arm_and_that_is_said(tmp_path, caplog):
+    robot = load_robot(written(tmp_path))
+    assert "no part of the arm, and left out: plane floor; put it into the scene" in caplog.text
+    assert all(note in caplog.text for note in robot.notes)
+    assert not (robot.mj_model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
+
+
+def test_torque_and_acceleration_limits_are_those_of_the_file(tmp_path):
+    numeric = '<custom><numeric name="acceleration_limit" data="DATA"/></custom>'
+    robot = load_robot(written(tmp_path, EQUALITY + numeric.replace("DATA", "1 2 3 4 5")))
+    np.testing.assert_allclose(robot.torque_limit, [50, 30, 7])
+    np.testing.assert_allclose(robot.acceleration_limit, [1, 2, 3])
+    assert robot.velocity_limit is None
+    few = written(tmp_path, EQUALITY + numeric.replace("DATA", "1 2"))
+    with pytest.raises(InputError, match=r"acceleration_limit in .* is .*; it needs 5 positive"):
+        load_robot(few.rename(tmp_path / "few.xml"))
+    weak = written(tmp_path, change=lambda text: text.replace(' forcerange="-7 7"', ""))
+    assert load_robot(weak.rename(tmp_path / "weak.xml")).torque_limit is None
+
+
+def test_an_arm_on_a_free_base_is_planned_for_by_its_named_joints(tmp_path):
+    path = written(
+        tmp_path,
+        change=lambda text: (
+            text.replace('<body name="base">', '<body name="base"><freejoint/>')
+            .replace("<keyframe>", "<!--")
+            .replace("</keyframe>", "-->")
+        ),
+    )
+    with pytest.raises(InputError, match=r"free or ball joint; .* joints=\[\.\.\.\]"):
+        load_robot(path)
+    robot = load_robot(path, joints=["turn", "bend"])
+    assert robot.num_dof == robot.mj_model.nq == 2
+
+
+def supports(vertices, radius, normals):
+    return (normals @ vertices.T).max(axis=1) + radius
+
+
+@pytest.mark.parametrize(
+    "geom",
+    [
+        'type="sphere" size="0.07"',
+        'type="capsule" size="0.03 0.1"',
+        'type="box" size="0.03 0.1 0.06"',
+        'type="cylinder" size="0.06 0.1"',
+        'type="cylinder" size="0.3 0.1"',
+        'type="ellipsoid" size="0.06 0.1 0.02"',
+    ],
+)
+def test_parts_enclose_their_geoms_and_stand_out_by_less_than_half_a_millimetre(tmp_path, geom):
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body pos="1 2 3"><joint range="-9 9" limited="true"/>'
+        f'<geom {geom} pos="0.1 0.2 0.3" euler="10 20 30"/></body></worldbody></mujoco>'
+    )
+    robot = load_robot(path)
+    (part,), model = robot.parts, robot.mj_model
+    normals = np.random.default_rng(0).normal(size=(4000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found = supports(part.vertices - model.geom_pos[0], part.radius, normals)
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, model.geom_quat[0])
+    x, y, z = (normals @ matrix.reshape(3, 3)).T
+    a, b, c = model.geom_size[0]
+    truth = {
+        mujoco.mjtGeom.mjGEOM_SPHERE: a + 0 * x,
+        mujoco.mjtGeom.mjGEOM_CAPSULE: a + b * np.abs(z),
+        mujoco.mjtGeom.mjGEOM_BOX: np.abs([a * x, b * y, c * z]).sum(axis=0),
+        mujoco.mjtGeom.mjGEOM_CYLINDER: a * np.hypot(x, y) + b * np.abs(z),
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID: np.sqrt((a * x) ** 2 + (b * y) ** 2 + (c * z) ** 2),
+    }[mujoco.mjtGeom(model.geom_type[0])]
+    assert (found > truth - 1e-9).all()
+    assert (found < truth + 5e-4).all()
+
+
+BRICKS = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <default><geom mass="1" BITS/></default>
+  <worldbody>
+    <body name="base"><geom name="foot" type="box" size="0.1 0.1 0.05"/>
+      <body name="upper" pos="0 0 GAP"><joint axis="0 0 1" range="-3 3"/>
+        <geom name="beam" type="box" size="0.05 0.05 0.2" pos="0 0 0.2"/>
+        <body name="middle" pos="0 0 0.42"><joint axis="0 1 0" range="-2 2"/>
+          <geom name="cuff" type="box" size="0.03 0.03 0.03"/>
+          <body name="lower" pos="0 0 LOW"><joint axis="0 0 1" range="-3 3"/>
+            <geom name="tip" type="box" size="0.03 0.03 0.1"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def bricks(folder, gap=0.052, low=0.15, bits="", more=""):
+    path = folder / "bricks.xml"
+    text = BRICKS.replace("GAP", str(gap)).replace("LOW", str(low)).replace("BITS", bits)
+    path.write_text(text.replace("</mujoco>", f"{more}</mujoco>"))
+    return path
+
+
+def paired(robot):
+    return {frozenset(robot.parts[p].name for p in pair) for pair in robot.part_pairs.tolist()}
+
+
+def test_links_that_always_touch_may_and_that_is_said(tmp_path, caplog):
+    robot = load_robot(bricks(tmp_path, gap=0.03, low=0.0))
+    assert robot.allowed_pairs == (("foot", "beam"), ("beam", "tip"))
+    assert "parts that always touch, or do at home, may: foot and beam, beam and tip" in caplog.text
+    assert paired(robot) == {frozenset(x) for x in (("foot", "cuff"), ("foot", "tip"))}
+    # MuJoCo's engine judges likewise.
+    data = mujoco.MjData(robot.mj_model)
+    mujoco.mj_forward(robot.mj_model, data)
+    assert data.ncon == 0
+
+
+def test_the_first_link_need_not_keep_clear_of_the_base_that_it_never_reaches(tmp_path):
+    robot = load_robot(bricks(tmp_path))
+    assert robot.allowed_pairs == ()
+    assert paired(robot) == {
+        frozenset(x) for x in (("foot", "cuff"), ("foot", "tip"), ("beam", "tip"))
+    }
+    # It does reach it where it may tilt.
+    path = bricks(tmp_path, gap=0.08)
+    path.write_text(
+        path.read_text().replace('axis="0 0 1" range="-3 3"', 'axis="1 0 0" range="-3 3"', 1)
+    )
+    assert frozenset(("foot", "beam")) in paired(load_robot(path.rename(tmp_path / "tilts.xml")))
+
+
+def test_links_that_touch_at_the_home_of_the_file_may(tmp_path):
+    home = '<keyframe><key name="home" qpos="0 2 0"/></keyframe>'
+    shape = {"low": 0.12, "more": home}
+    path = bricks(tmp_path, **shape)
+    path.write_text(
+        path.read_text().replace('range="-2 2"', 'range="-2.8 2.8"').replace("0 2 0", "0 2.7 0")
+    )
+    assert ("beam", "tip") in load_robot(path).allowed_pairs
+
+
+def test_bodies_may_be_allowed_to_touch(tmp_path):
+    robot = load_robot(bricks(tmp_path), allow=[("lower", "upper"), ("base", "middle")])
+    assert paired(robot) == {frozenset(("foot", "tip"))}
+    rows = {frozenset(robot.geom_parts[pair].tolist()) for pair in robot.self_pairs}
+    assert rows == {frozenset(pair) for pair in robot.part_pairs.tolist()}
+
+
+def test_bits_that_pair_no_links_do_not_hide_the_arm_from_itself(tmp_path, caplog):
+    robot = load_robot(bricks(tmp_path, bits='contype="0" conaffinity="1"'))
+    assert len(paired(robot)) == 3
+    assert "contype and conaffinity let no two links meet" in caplog.text
+    assert (robot.mj_model.geom_contype == 1).all()
+
+
+def test_an_arm_that_can_but_collide_with_itself_is_refused_with_the_remedy(tmp_path):
+    # Of seven links some two always meet, and hardly ever the same.
+    path = tmp_path / "tangle.xml"
+    link = (
+        '<body name="NAME"><joint type="slide" axis="1 0 0" range="-1 1"/>'
+        '<geom type="box" size="0.9 0.1 0.1" mass="1"/></body>'
+    )
+    links = "".join(link.replace("NAME", name) for name in ("a", "b", "c", "d", "e", "f", "g"))
+    base = '<body name="base"><geom size="0.1"/></body>'
+    path.write_text(f"<mujoco><worldbody>{base}{links}</worldbody></mujoco>")
+    with pytest.raises(InputError, match=r"collides with itself in all of 2000.*allow=\[\(body"):
+        load_robot(path)
+
+
+def test_shipped_arms_are_left_as_they_are(caplog):
+    for name in ("kuka_iiwa14", "franka_panda", "kinova_gen3"):
+        robot = load_robot(name)
+        assert robot.notes == robot.allowed_pairs == ()
+        assert not robot.held
+        np.testing.assert_array_equal(robot.geom_inner_radii, robot.geom_radii)
+        np.testing.assert_array_equal(robot.geom_parts, np.arange(len(robot.geom_ids)))
+        np.testing.assert_array_equal(robot.part_pairs, robot.self_pairs)
+        assert dataclasses.is_dataclass(robot)
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING]

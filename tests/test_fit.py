@@ -1,0 +1,237 @@
+"""Covers: spheres that hold all of a hull, kept once they are fitted, shown and saved."""
+
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from gnnjax.arm.covers import OVERSHOOT, cover_parts
+from gnnjax.arm.fit import Hull, fit_covers, grown
+from gnnjax.arm.parts import CAPSULE, SPHERE, Part
+from gnnjax.arm.robot import load_robot
+from gnnjax.errors import InputError
+from gnnjax.fit import FitConfig, fit
+
+HULLS = "tests/data/kuka_iiwa14_hulls.npz"
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("gnnjax.arm.covers._MOST", 4)  # spheres, for speed
+    return tmp_path / "cache" / "gnnjax" / "covers"
+
+
+def shapes():
+    rng = np.random.default_rng(0)
+    box = np.stack(np.meshgrid((-0.2, 0.2), (-0.05, 0.05), (-0.1, 0.1)), axis=-1).reshape(-1, 3)
+    around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = 0.06 * np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+    return {
+        "box": box,
+        "rod": np.concatenate([ring, ring + np.array([0, 0, 0.5])]),
+        "stones": rng.normal(scale=0.05, size=(300, 3)),
+        "speck": rng.normal(scale=0.001, size=(10, 3)),
+        "plate": np.array([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0.1, 0.1, 0)]),
+        "point": np.zeros((1, 3)),
+    }
+
+
+@pytest.mark.parametrize("name", shapes())
+def test_every_point_of_a_hull_is_in_some_sphere(name):
+    vertices, rng = shapes()[name], np.random.default_rng(1)
+    weights = rng.dirichlet(np.full(len(vertices), 0.2), 20_000)
+    inside = np.concatenate([weights @ vertices, vertices])
+    for cover in fit_covers(vertices, overshoot=0.01, most=6):
+        distances = np.linalg.norm(inside[:, None] - cover.centers, axis=2)
+        assert (distances <= cover.radii).any(axis=1).all()
+        # Inner balls are inside: no support of theirs is above that of the hull.
+        normals = rng.normal(size=(2000, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        highest = (normals @ vertices.T).max(axis=1)[:, None]
+        deep = cover.depths > 2e-4
+        assert (normals @ cover.centers[deep].T + cover.depths[deep] <= highest + 2e-4).all()
+
+
+def test_spheres_reach_less_far_the_more_there_are():
+    covers = fit_covers(shapes()["box"], overshoot=0.0, most=12)
+    over = [cover.overshoot for cover in covers]
+    assert over == sorted(over, reverse=True)
+    assert over[0] > 0.15
+    assert over[-1] < 0.05
+    (enough,) = fit_covers(shapes()["speck"], overshoot=0.01, most=12)
+    assert len(enough.radii) == 1
+
+
+def test_links_of_a_real_arm_need_few_spheres():
+    with np.load(HULLS) as data:
+        covers = {name: fit_covers(data[name], overshoot=0.015, most=8) for name in ("link_6",)}
+    last = covers["link_6"][-1]
+    assert len(last.radii) <= 8
+    assert last.overshoot < 0.016
+
+
+def test_holes_between_spheres_are_closed():
+    hull = Hull(shapes()["box"])
+    centers = np.array([(-0.1, 0.0, 0.0), (0.1, 0.0, 0.0)])
+    radii = grown(hull, centers, np.array([0.13, 0.14]))
+    # Each has to hold a half of the box.
+    half = np.linalg.norm([0.1, 0.05, 0.1])
+    assert radii.max() >= half - 1e-9
+    points = np.random.default_rng(0).uniform((-0.2, -0.05, -0.1), (0.2, 0.05, 0.1), (10_000, 3))
+    assert (np.linalg.norm(points[:, None] - centers, axis=2) <= radii).any(axis=1).all()
+    np.testing.assert_array_equal(grown(hull, centers, radii), radii)
+
+
+def test_the_depth_is_the_distance_to_the_nearest_face():
+    hull = Hull(shapes()["box"])
+    points = np.array([(0, 0, 0), (0.19, 0, 0), (0, 0.06, 0)], float)
+    np.testing.assert_allclose(hull.depth(points), [0.05, 0.01, -0.01])
+
+
+@pytest.mark.parametrize("vertices", [np.empty((0, 3)), np.full((4, 3), np.nan)])
+def test_hulls_of_nothing_are_refused(vertices):
+    with pytest.raises(InputError, match="needs vertices, and all of them finite"):
+        fit_covers(vertices, overshoot=0.01, most=2)
+
+
+def test_a_million_points_need_little_memory():
+    code = (
+        "import resource, numpy as np\n"
+        "from gnnjax.arm.fit import fit_covers\n"
+        "points = np.random.default_rng(0).normal(size=(1_000_000, 3))\n"
+        "points *= 0.1 / np.linalg.norm(points, axis=1, keepdims=True)\n"
+        "points = np.concatenate([points[:3000], points * 0.99])\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "fit_covers(points, overshoot=0.002, most=3)\n"
+        "print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 512  # MB
+
+
+def parts():
+    ball = Part("ball", 0, np.array([(0.0, 0.0, 0.1)]), 0.05)
+    stick = Part("stick", 1, np.array([(0.0, 0.0, 0.0), (0.0, 0.2, 0.0)]), 0.03)
+    return [
+        ball,
+        Part("box", 1, shapes()["box"], 0.0),
+        stick,
+        Part("round", 2, shapes()["box"], 0.02),
+    ]
+
+
+def test_round_parts_are_their_own_covers():
+    rows = cover_parts(parts())
+    for number, kind in ((0, SPHERE), (2, CAPSULE)):
+        (row,) = np.flatnonzero(rows.parts == number)
+        assert rows.types[row] == kind
+        assert rows.radii[row] == rows.inner_radii[row] == parts()[number].radius
+        ends = rows.centers[row] + rows.axes[row] * [[-1], [1]]
+        np.testing.assert_allclose(ends[[0, -1]], parts()[number].vertices[[0, -1]])
+    for number in (1, 3):
+        own = rows.parts == number
+        assert (rows.types[own] == SPHERE).all()
+        assert (rows.inner_radii[own] < rows.radii[own]).all()
+        assert (rows.radii - rows.inner_radii)[own].max() <= OVERSHOOT or own.sum() > 3
+
+
+def test_covers_are_fitted_once_and_a_damaged_file_anew(cache, monkeypatch):
+    first = cover_parts(parts())
+    files = sorted(cache.iterdir())
+    assert len(files) == 2
+    calls = []
+    real = fit_covers
+    monkeypatch.setattr(
+        "gnnjax.arm.covers.fit_covers", lambda *args, **rest: calls.append(0) or real(*args, **rest)
+    )
+    for change, expected in ((None, 0), (b"", 1), (b"\x93NUMPY", 2), (b"nothing", 3)):
+        if change is not None:
+            files[0].write_bytes(change)
+        again = cover_parts(parts())
+        for before, now in zip(first, again, strict=True):
+            np.testing.assert_array_equal(before, now)
+        assert len(calls) == expected
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_cache_that_cannot_be_written_is_no_obstacle(cache, caplog):
+    cache.parent.mkdir(parents=True)
+    cache.parent.chmod(0o500)
+    assert len(cover_parts(parts()).radii) > 4
+    assert "spheres are not kept in" in caplog.text
+
+
+BRICKS = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    <body name="base"><geom type="box" size="0.1 0.1 0.05"/>
+      <body name="upper" pos="0 0 0.1"><joint axis="0 0 1" range="-3 3"/>
+        <geom name="beam" type="box" size="0.05 0.05 0.2" pos="0 0 0.2" mass="2"/>
+        <body name="lower" pos="0 0 0.45"><joint axis="0 1 0" range="-2.5 2.5"/>
+          <geom name="ball" size="0.04" pos="0 0 0.1" mass="1"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_the_command_shows_and_saves_spheres_that_load_as_the_same_arm(tmp_path, capsys):
+    path, out, picture = tmp_path / "bricks.xml", tmp_path / "round.xml", tmp_path / "round.png"
+    path.write_text(BRICKS)
+    robot = fit(FitConfig(str(path), out=out, picture=picture))
+    printed = capsys.readouterr().out
+    assert "beam" in printed
+    assert "pairs of spheres" in printed
+    assert picture.stat().st_size > 10_000
+    saved = load_robot(out)
+    assert set(saved.geom_types.tolist()) == {SPHERE}
+    assert len(saved.geom_radii) == len(robot.geom_radii)
+    assert len(saved.self_pairs) == len(robot.self_pairs)
+    fitted = robot.geom_inner_radii < robot.geom_radii
+    larger = np.sort(saved.geom_radii)[1:] - np.sort(robot.geom_radii[fitted])  # the ball is least
+    assert (larger > 5e-6).all()
+    assert (larger < 2e-5).all()
+    np.testing.assert_allclose(saved.mj_model.body_mass, robot.mj_model.body_mass, atol=1e-5)
+    np.testing.assert_allclose(saved.mj_model.body_inertia, robot.mj_model.body_inertia, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"out": "x.json"}, r"must end in \.xml"),
+        ({"picture": "x.doc"}, "has no known ending"),
+        ({"robot": "kuka"}, "no robot 'kuka' in assets/"),
+    ],
+)
+def test_what_the_command_cannot_do_is_said_before_it_begins(tmp_path, settings, message):
+    paths = {n: tmp_path / v for n, v in settings.items() if n != "robot"}
+    with pytest.raises(InputError, match=message):
+        fit(FitConfig(settings.get("robot", "kuka_iiwa14"), **paths))
+
+
+def test_a_real_mesh_arm_loads_with_a_cover_of_its_hull(tmp_path):
+    rng = np.random.default_rng(0)
+    points = " ".join(f"{x:.4f}" for x in rng.normal(scale=0.05, size=60))
+    path = tmp_path / "mesh.xml"
+    path.write_text(
+        f'<mujoco><asset><mesh name="rock" vertex="{points}"/></asset><worldbody><body>'
+        '<joint range="-1 1" limited="true"/><geom type="mesh" mesh="rock" pos="0.2 0 0" '
+        'euler="20 30 40"/></body></worldbody></mujoco>'
+    )
+    robot = load_robot(path)
+    (part,) = robot.parts
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    mujoco.mj_kinematics(model, data)
+    # The farthest point in any direction is that of the vertices that MuJoCo has.
+    vertices = model.mesh_vert @ data.geom_xmat[0].reshape(3, 3).T + data.geom_xpos[0]
+    normals = rng.normal(size=(500, 3))
+    np.testing.assert_allclose(
+        (normals @ part.vertices.T).max(axis=1), (normals @ vertices.T).max(axis=1), atol=1e-7
+    )
