@@ -1,0 +1,58 @@
+"""Convex hulls of links, with fewer vertices."""
+
+import numpy as np
+from jaxtyping import Float
+
+from gnnjax.errors import InputError
+
+_SLACK = 1e-6  # m; on the ball, for rounding
+
+
+def simplify(
+    vertices: Float[np.ndarray, "V 3"], tolerance: float
+) -> tuple[Float[np.ndarray, "W 3"], float]:
+    """Some of a hull's vertices and a ball around each point of theirs that enclose it.
+
+    The vertex that sticks out farthest is added until none does by more than the tolerance.
+
+    Args:
+        vertices: of the hull, m.
+        tolerance: bound on the ball's radius, m.
+
+    Returns:
+        the vertices that are kept; the radius, m.
+
+    Raises:
+        InputError: the tolerance leaves no room for rounding.
+    """
+    if not tolerance > _SLACK:
+        raise InputError(f"hulls cannot be simplified to {tolerance} m; take more than {_SLACK}")
+    # A third of a second, which only those pay who read meshes.
+    from scipy.optimize import nnls
+
+    points = vertices.astype(np.float64)
+    middle = points.mean(axis=0)
+    points -= middle
+    scale = np.abs(points).max() + 1e-9
+
+    def sticks_out(point: np.ndarray, chosen: list[int]) -> float:
+        """An upper bound, exact but for rounding: the distance from some point of the hull."""
+        corners = points[chosen]
+        system = np.vstack([corners.T / scale, np.full(len(corners), 1e3)])
+        weights, _ = nnls(system, np.append(point / scale, 1e3))
+        return float(np.linalg.norm(weights @ corners / weights.sum() - point))
+
+    chosen = [int(np.argmax(np.linalg.norm(points, axis=1)))]
+    # Distances only fall as the hull grows: old ones are bounds, and few need another look.
+    bounds = np.linalg.norm(points - points[chosen[0]], axis=1)
+    seen = np.ones(len(points), int)
+    while True:
+        farthest = int(np.argmax(bounds))
+        if seen[farthest] < len(chosen):
+            bounds[farthest] = min(bounds[farthest], sticks_out(points[farthest], chosen))
+            seen[farthest] = len(chosen)
+        elif bounds[farthest] > tolerance - _SLACK:
+            chosen.append(farthest)
+            bounds[farthest] = 0.0
+        else:
+            return vertices[sorted(chosen)], float(bounds[farthest]) + _SLACK
