@@ -20,12 +20,15 @@ from gnnjax.planning.strategy import Strategy
 from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.labelled import Labels, label_roadmap
+from gnnjax.problems.moveit import problem_from_moveit
 from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
 from gnnjax.problems.shards import load_problems
 from gnnjax.roadmap.graph import Roadmap, connect, default_radius
 from gnnjax.roadmap.paths import cost_to_go, edge_validity
 from gnnjax.roadmap.sampled import Samples, sample_free, sample_roadmap
 from gnnjax.roadmap.stored import stored_roadmap
+from gnnjax.scene.from_mjcf import scene_from_mjcf
+from gnnjax.scene.moveit import scene_from_moveit
 from gnnjax.scene.scene import (
     Scene,
     make_scene,
@@ -87,6 +90,7 @@ __all__ = [
     "make_scene",
     "motion_guide",
     "pad_scene",
+    "problem_from_moveit",
     "sample_family_problem",
     "sample_free",
     "sample_problem",
@@ -95,6 +99,8 @@ __all__ = [
     "save_network",
     "save_problems",
     "scene_from_json",
+    "scene_from_mjcf",
+    "scene_from_moveit",
     "scene_from_shapes",
     "scene_to_json",
     "sphere",

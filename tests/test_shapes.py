@@ -14,6 +14,7 @@ CONSUMERS = {
     "MJX backend": "gnnjax.collision.mjx",
     "problem file": "gnnjax.problems.file",
     "picture": "gnnjax.plot",
+    "change of frame": "gnnjax.scene.pose",
 }
 
 

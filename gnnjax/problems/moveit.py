@@ -1,0 +1,190 @@
+"""MoveIt's motion plan requests, written as YAML: a start and a goal in a planning scene."""
+
+import logging
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError, brief
+from gnnjax.problems.problem import Problem
+from gnnjax.scene.messages import fields_of, list_of, numbers, read_message
+from gnnjax.scene.moveit import base_of, read_planning_scene, scene_of
+from gnnjax.scene.pose import IDENTITY
+
+_LOG = logging.getLogger(__name__)
+
+# Of a request, what says which problem it is; what binds the path on its way, which no planner here
+# heeds; and what says how to plan.
+_PROBLEM = ["start_state", "goal_constraints"]
+_ON_THE_WAY = ["path_constraints", "trajectory_constraints"]
+_HOW = (
+    "workspace_parameters reference_trajectories pipeline_id planner_id group_name "
+    "num_planning_attempts allowed_planning_time max_velocity_scaling_factor "
+    "max_acceleration_scaling_factor cartesian_speed_end_effector_link "
+    "cartesian_speed_limited_link max_cartesian_speed"
+).split()
+_CONSTRAINTS = (
+    "name joint_constraints position_constraints orientation_constraints visibility_constraints"
+).split()
+_JOINT_CONSTRAINT = "joint_name position tolerance_above tolerance_below weight".split()
+_SAME = 1e-6  # m or rad, up to which two files agree
+
+
+def problem_from_moveit(
+    scene_path: str | Path,
+    request_path: str | Path,
+    robot: Robot,
+    *,
+    names: Mapping[str, str] | None = None,
+) -> Problem:
+    """Reads a problem from a planning scene and a motion plan request of MoveIt, both YAML.
+
+    The start is the request's start state, and the goal the middle of its joint constraints, the
+    tolerances of which hold for any path that ends there. Joints are matched by name, or else where
+    names end alike but for punctuation: `joint_1` is `panda_joint1`. Joints that the robot does not
+    plan for are held by its model; where the request has them elsewhere, a line is logged.
+
+    Args:
+        scene_path: see `scene_from_moveit`.
+        request_path: moveit_msgs/MotionPlanRequest.
+        robot: the arm.
+        names: the request's name of each of the robot's joints, where neither rule finds it.
+
+    Raises:
+        InputError: a file that cannot be read, a goal that is no configuration, constraints on the
+            way, a joint that is missing, or a base that stands elsewhere than in the scene.
+    """
+    called = f"request {str(request_path)!r}"
+    message = read_message(request_path, "request", [*_PROBLEM, *_ON_THE_WAY, *_HOW])
+    for name in _ON_THE_WAY:
+        if _says_anything(message.get(name)):
+            raise InputError(
+                f"{called} has {name}, which no planner here heeds; remove them to plan without"
+            )
+    found = read_planning_scene(scene_path)
+    base = base_of(message.get("start_state"), {"": IDENTITY}, called)
+    if base is not None and found.base is not None:
+        apart = np.abs(base.position - found.base.position).max()
+        turned = 1 - abs(base.quat @ found.base.quat)
+        if max(apart, turned) > _SAME:
+            raise InputError(
+                f"{called} has the robot at {base.position.tolist()} (w x y z "
+                f"{base.quat.tolist()}), its scene at {found.base.position.tolist()} "
+                f"({found.base.quat.tolist()}); place it once"
+            )
+    goal = _goal(message, called)
+    start = _start(message, called)
+    mapping = _matched(robot, list(goal), names or {}, called)
+    _note_others(robot, start, set(mapping.values()), called)
+    scene = scene_of(found._replace(base=found.base or base), f"planning scene {str(scene_path)!r}")
+    return Problem(
+        _configuration(mapping, start, f"start_state of {called}"),
+        _configuration(mapping, goal, f"goal of {called}"),
+        scene,
+    )
+
+
+def _says_anything(value: Any) -> bool:
+    """Whether there is more in a message than empty lists, names and headers."""
+    if isinstance(value, dict):
+        return any(_says_anything(x) for key, x in value.items() if key not in ("name", "header"))
+    return bool(value)
+
+
+def _start(message: dict[str, Any], called: str) -> dict[str, float]:
+    """Positions of the start state's joints by name."""
+    state = message.get("start_state") or {}  # its fields are known since `base_of`
+    known = "header name position velocity effort".split()
+    joints = fields_of(state.get("joint_state"), known, f"joint_state of {called}")
+    given = list_of(joints, "name", called)
+    values = numbers(joints.get("position") or [], None, f"position of joint_state of {called}")
+    if len(given) != len(values) or len(set(map(str, given))) < len(given):
+        raise InputError(
+            f"{called} has {len(values)} positions for the joints {brief(given)}; give each one"
+        )
+    return dict(zip(map(str, given), values.tolist(), strict=True))
+
+
+def _goal(message: dict[str, Any], called: str) -> dict[str, float]:
+    """Positions that the goal's joint constraints ask for, by name."""
+    goals = list_of(message, "goal_constraints", called)
+    if len(goals) != 1:
+        raise InputError(f"{called} has {len(goals)} goals in goal_constraints; give one")
+    fields = fields_of(goals[0], _CONSTRAINTS, f"goal_constraints of {called}")
+    other = [name for name in _CONSTRAINTS[2:] if fields.get(name)]
+    if other:
+        raise InputError(
+            f"{called} has {other} in its goal; goals are configurations, so give joint_constraints"
+        )
+    found: dict[str, float] = {}
+    for value in list_of(fields, "joint_constraints", called):
+        inside = f"a joint constraint of {called}"
+        constraint = fields_of(value, _JOINT_CONSTRAINT, inside)
+        name = str(constraint.get("joint_name"))
+        inside = f"the constraint of {name} of {called}"
+        (position,) = numbers([constraint.get("position")], 1, f"position in {inside}")
+        for side in ("tolerance_above", "tolerance_below"):
+            (tolerance,) = numbers([constraint.get(side, 0)], 1, f"{side} in {inside}")
+            if tolerance < 0:
+                raise InputError(f"{side} in {inside} is {tolerance}; it must not be negative")
+        if name in found:
+            raise InputError(f"{called} constrains {name} twice; give one goal")
+        found[name] = float(position)
+    return found
+
+
+def _matched(
+    robot: Robot, others: Sequence[str], names: Mapping[str, str], called: str
+) -> dict[str, str]:
+    """The request's name of each of the robot's joints, in the order of a configuration."""
+    model = robot.mj_model
+    own = [model.joint(j).name for j in range(model.njnt)]
+    if unknown := sorted(names.keys() - set(own)):
+        raise InputError(f"names has {unknown}, and the joints of {robot.name} are {own}")
+    found = {}
+    for joint in own:
+        exact = names.get(joint, joint)
+        alike = [other for other in others if _end_alike(joint, other)]
+        if exact in others:
+            found[joint] = exact
+        elif joint not in names and len(alike) == 1:
+            found[joint] = alike[0]
+    if len(set(found.values())) < len(own):
+        lacking = next((joint for joint in own if joint not in found), own[0])
+        raise InputError(
+            f"{called} has the goal joints {_listed(others)}, none of them surely "
+            f"{lacking!r} of {robot.name}, whose joints are {_listed(own)}; say which is which: "
+            f"names={{{lacking!r}: ...}}"
+        )
+    return found
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names, as many as a sentence bears."""
+    return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+
+
+def _end_alike(one: str, other: str) -> bool:
+    one, other = (re.sub(r"[^a-z0-9]", "", name.lower()) for name in (one, other))
+    return bool(one and other) and (one.endswith(other) or other.endswith(one))
+
+
+def _note_others(robot: Robot, start: dict[str, float], planned: set[str], called: str) -> None:
+    """Logs where joints are that the robot does not plan for, unless it holds them there."""
+    held: Mapping[str, float] = getattr(robot, "held", {})
+    for name, value in start.items():
+        if name in planned or abs(held.get(name, np.inf) - value) <= _SAME:
+            continue
+        where = f"holds at {held[name]:g}" if name in held else "does not have as a joint"
+        _LOG.warning("%s has %s at %g, which %s %s", called, name, value, robot.name, where)
+
+
+def _configuration(mapping: dict[str, str], values: dict[str, float], called: str) -> np.ndarray:
+    missing = [name for name in mapping.values() if name not in values]
+    if missing:
+        raise InputError(f"{called} lacks {_listed(missing)}; give all joints")
+    return np.array([values[name] for name in mapping.values()], np.float32)

@@ -1,0 +1,231 @@
+"""Obstacles from MuJoCo models: what collides there and is not the robot, as its base sees it."""
+
+from collections.abc import Callable, Collection, Hashable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from gnnjax.arm.mjcf import without_warnings
+from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError
+from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved
+from gnnjax.scene.scene import Scene, scene_from_shapes
+from gnnjax.scene.shapes import Shape, box, capsule, cylinder, half_space, sphere
+
+_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+_ORIGIN = np.zeros(3)
+# Geoms about their own frame, by their sizes. MuJoCo's planes are solid below, and endless whatever
+# their size.
+_SHAPES: dict[int, Callable[[np.ndarray], Shape]] = {
+    _PLANE: lambda size: half_space(_ORIGIN, [0.0, 0.0, 1.0]),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): lambda size: sphere(_ORIGIN, size[0]),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): lambda size: capsule(_ORIGIN, size[0], size[1]),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): lambda size: cylinder(_ORIGIN, size[0], size[1]),
+    int(mujoco.mjtGeom.mjGEOM_BOX): lambda size: box(_ORIGIN, size),
+}
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_SAME = 1e-6  # m; where a geom of two models is the same
+
+
+def scene_from_mjcf(
+    path: str | Path,
+    *,
+    robot: Robot | None = None,
+    ignore: Collection[str] = (),
+    keyframe: str | None = None,
+) -> Scene:
+    """Reads the obstacles of a MuJoCo model: boxes, spheres, capsules, cylinders and planes.
+
+    Every geom with `contype` or `conaffinity`, or in an explicit pair, is an obstacle, unless it is
+    the robot's or ignored. Bodies stand where the model's own pose or a keyframe has them, those
+    with joints, too. The scene is seen from the robot's base, or without a robot from the world.
+
+    Args:
+        path: of the MJCF.
+        robot: the arm that the model holds; its bodies are found by name.
+        ignore: names of bodies, with all that hangs on them, and of geoms.
+        keyframe: name of one; by default the model's own pose, `qpos0`.
+
+    Raises:
+        InputError: a file that MuJoCo cannot read, a geom of another kind, a body that moves by a
+            hinge or slide joint though no robot is named, or one that the robot carries and does
+            not have, or a name that is not there.
+    """
+    called = f"{str(path)!r}"
+    model = _compiled(path, called)
+    data = mujoco.MjData(model)
+    if keyframe is not None:
+        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)
+        if key < 0:
+            known = [model.key(k).name for k in range(model.nkey)]
+            raise InputError(f"no keyframe {keyframe!r} in {called}; there are {known}")
+        mujoco.mj_resetDataKeyframe(model, data, key)
+    mujoco.mj_kinematics(model, data)
+    _check_ignored(model, ignore, called)
+    ignored = _subtrees(model, {b for b in range(1, model.nbody) if model.body(b).name in ignore})
+    of_robot, base, fixed = set(), IDENTITY, []
+    if robot is not None:
+        keys = _keys(robot.mj_model)
+        of_robot = {b for b, key in enumerate(_keys(model)) if b and key in keys[1:]}
+        base = _base(robot, model, data, called)
+        fixed = _fixed_geoms(robot.mj_model)
+    moving = _moving(model)
+    carried = _subtrees(model, of_robot & moving) - of_robot
+    to_base = inverse(base)
+    shapes = []
+    for g in np.flatnonzero(_collides(model)).tolist():
+        body = int(model.geom_bodyid[g])
+        if body in ignored or body in of_robot or _named(model.geom(g).name, ignore):
+            continue
+        pose = compose(to_base, _pose_of_geom(data, g))
+        if any(_is_same(model, g, pose, *other) for other in fixed):
+            continue
+        inside = f"body {model.body(body).name or body} of {called}"
+        if body in carried and robot is not None:
+            raise InputError(
+                f"{inside} is carried by {robot.name}, whose own model lacks it; load the robot "
+                "with it, or name it in ignore"
+            )
+        if robot is None and body in moving:
+            raise InputError(
+                f"{inside} moves by a joint; if that is the robot, give robot=load_robot(...) or "
+                "name its first body in ignore; if it stands still, remove the joint"
+            )
+        shapes.append(moved(_shape(model, g, called), pose))
+    return scene_from_shapes(shapes, source=called)
+
+
+def _compiled(path: str | Path, called: str) -> mujoco.MjModel:
+    if not Path(path).is_file():
+        raise InputError(f"no MJCF file at {called}; check the path")
+    try:
+        with without_warnings():
+            return mujoco.MjSpec.from_file(str(path)).compile()
+    except ValueError as error:
+        raise InputError(f"MuJoCo cannot read {called}: {str(error).strip()}") from None
+
+
+def _named(name: str, ignore: Collection[str]) -> bool:
+    return bool(name) and name in ignore
+
+
+def _check_ignored(model: mujoco.MjModel, ignore: Collection[str], called: str) -> None:
+    if isinstance(ignore, str):
+        raise InputError(f"ignore is {ignore!r}; give a list of names")
+    bodies = [model.body(b).name for b in range(1, model.nbody)]
+    geoms = [model.geom(g).name for g in range(model.ngeom)]
+    for name in ignore:
+        if not _named(name, {*bodies, *geoms}):
+            known = [x for x in bodies if x], [x for x in geoms if x]
+            raise InputError(
+                f"no body or geom {name!r} to ignore in {called}; its bodies are {known[0]}, its "
+                f"geoms {known[1]}"
+            )
+
+
+def _subtrees(model: mujoco.MjModel, roots: set[int]) -> set[int]:
+    """Bodies with all that hang on them; parents come first in a model."""
+    found = set(roots)
+    for b in range(1, model.nbody):
+        if int(model.body_parentid[b]) in found:
+            found.add(b)
+    return found
+
+
+def _moving(model: mujoco.MjModel) -> set[int]:
+    """Bodies that a hinge, slide or ball joint moves; free ones lie where they are put."""
+    jointed = {
+        int(body)
+        for body, kind in zip(model.jnt_bodyid, model.jnt_type, strict=True)
+        if int(kind) != _FREE
+    }
+    return _subtrees(model, jointed)
+
+
+def _keys(model: mujoco.MjModel) -> list[Hashable]:
+    """What bodies of two models are compared by: their names, or else their place among the
+    nameless ones of a parent."""
+    keys: list[Hashable] = ["world"]
+    nameless: dict[Hashable, int] = {}
+    for b in range(1, model.nbody):
+        name = model.body(b).name
+        if not name:
+            parent = keys[int(model.body_parentid[b])]
+            nameless[parent] = nameless.get(parent, 0) + 1
+            # Nothing tells a nameless body of the world from another model's.
+            where: Hashable = parent if parent != "world" else object()
+            keys.append((where, nameless[parent]))
+            continue
+        keys.append(name)
+    return keys
+
+
+def _base(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData, called: str) -> Pose:
+    """Where the robot's base is in the world of a model that holds it."""
+    own, keys = robot.mj_model, _keys(model)
+    for b, key in enumerate(_keys(own)):
+        if not b or own.body_parentid[b] or key not in keys:
+            continue
+        there = keys.index(key)
+        if model.body_jntnum[there] and int(model.jnt_type[model.body_jntadr[there]]) != _FREE:
+            # The first link of an arm whose base is the world: as its joints are at zero.
+            parent = int(model.body_parentid[there])
+            outer = Pose(data.xpos[parent].copy(), data.xquat[parent].copy())
+            found = compose(outer, Pose(model.body_pos[there], model.body_quat[there]))
+        else:
+            found = Pose(data.xpos[there].copy(), data.xquat[there].copy())
+        return compose(found, inverse(Pose(own.body_pos[b], own.body_quat[b])))
+    raise InputError(
+        f"{called} holds none of the first bodies of {robot.name} "
+        f"({[own.body(b).name for b in range(1, min(own.nbody, 4))]}); leave robot out where the "
+        "robot is not in the file, and the world is its base"
+    )
+
+
+def _fixed_geoms(model: mujoco.MjModel) -> list[tuple[int, np.ndarray, Pose]]:
+    """Kind, sizes and pose of what a robot's own file has in its world, where no body names it. A
+    plane is no part of a robot."""
+    own = _collides(model) & (model.geom_bodyid == 0) & (model.geom_type != _PLANE)
+    return [
+        (int(model.geom_type[g]), model.geom_size[g], Pose(model.geom_pos[g], model.geom_quat[g]))
+        for g in np.flatnonzero(own)
+    ]
+
+
+def _collides(model: mujoco.MjModel) -> np.ndarray:
+    """Which geoms collide, `[G]`; the others are for the eye."""
+    found = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    found[model.pair_geom1] = found[model.pair_geom2] = True
+    return found
+
+
+def _is_same(
+    model: mujoco.MjModel, g: int, pose: Pose, kind: int, size: np.ndarray, other: Pose
+) -> bool:
+    """Whether a geom is one of the robot's fixed geoms."""
+    return (
+        int(model.geom_type[g]) == kind
+        and np.allclose(model.geom_size[g], size, atol=_SAME)
+        and np.allclose(pose.position, other.position, atol=_SAME)
+        and bool(abs(pose.quat @ other.quat) > 1 - _SAME)
+    )
+
+
+def _pose_of_geom(data: mujoco.MjData, g: int) -> Pose:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, data.geom_xmat[g])
+    return Pose(data.geom_xpos[g].copy(), quat)
+
+
+def _shape(model: mujoco.MjModel, g: int, called: str) -> Shape:
+    kind = int(model.geom_type[g])
+    if kind not in _SHAPES:
+        body = int(model.geom_bodyid[g])
+        named = f"geom {model.geom(g).name or g} (of body {model.body(body).name or body})"
+        word = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
+        raise InputError(
+            f"{named} of {called} is of the type {word}, which is not read; enclose it in boxes, "
+            "spheres, capsules or cylinders, or name it in ignore"
+        )
+    return _SHAPES[kind](model.geom_size[g])

@@ -1,0 +1,301 @@
+"""Obstacles from MuJoCo models: C's engine finds them where we do, and the robot is left out."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from gnnjax import load_robot, scene_from_mjcf
+from gnnjax.errors import InputError
+from gnnjax.scene.geometry import signed_distance
+from gnnjax.scene.scene import Scene, rotation_matrices
+from gnnjax.scene.shapes import KINDS, kind_of
+
+TABLE = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" pos="0 0 -0.3" euler="0.1 0.2 0"/>
+    <geom type="box" size="0.4 0.5 0.02" pos="0.5 0 0.1" euler="0.1 0.2 0.3"/>
+    <geom name="sign" type="mesh" mesh="tetra" contype="0" conaffinity="0"/>
+    <body pos="0.5 0.2 0.2" euler="0 0 1">
+      <freejoint/>
+      <geom type="cylinder" size="0.06 0.1" euler="0.5 0 0"/>
+      <body name="lid" pos="0 0 0.15"><geom type="sphere" size="0.05"/></body>
+    </body>
+    <body name="rail" pos="-0.4 0 0.3" euler="0 1 0">
+      <geom type="capsule" size="0.05" fromto="0 -0.3 0 0.1 0.3 0.2"/>
+    </body>
+  </worldbody>
+  <asset><mesh name="tetra" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>
+  <keyframe><key name="fallen" qpos="-0.3 0.4 0 1 0 0 0"/></keyframe>
+</mujoco>
+"""
+PROBE = 0.02  # m
+
+
+def written(folder, text, name="world.xml"):
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def kinds_of(scene: Scene) -> list[str]:
+    return [KINDS[k] for k in kind_of(scene.half_extents, scene.radii)[scene.mask]]
+
+
+def distances(scene: Scene, points: np.ndarray) -> np.ndarray:
+    """Of points `[P, 3]` to the nearest obstacle."""
+    scene = jax.tree.map(jnp.asarray, scene)
+    turned = rotation_matrices(scene.quats).swapaxes(-1, -2)
+    extents, radii = scene.half_extents, scene.radii
+
+    def one(point):
+        seen = jnp.einsum("mij,mj->im", turned, point - scene.centers)
+        away = signed_distance(list(seen), list(extents.T), *radii.T)
+        return jnp.where(scene.mask, away, jnp.inf).min()
+
+    return np.asarray(jax.vmap(one)(jnp.asarray(points, jnp.float32)))
+
+
+def samples(scene: Scene) -> np.ndarray:
+    """Points `[P, 3]` all about, and 200 near each obstacle, a good part of them inside."""
+    rng, near = np.random.default_rng(0), scene.mask & (scene.half_extents[:, 0] < 10)
+    extents = scene.half_extents[near].max(axis=1) + scene.radii[near].max(axis=1)
+    about = rng.normal(0.0, 0.5, (200, near.sum(), 3)) * extents[:, None] + scene.centers[near]
+    return np.concatenate([rng.uniform(-1, 1, (400, 3)), about.reshape(-1, 3)])
+
+
+def touched(path, points: np.ndarray, left_out=(), qpos=None) -> np.ndarray:
+    """Whether C's engine finds a contact of a small ball at points `[P, 3]` with the model."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    # MuJoCo lets no two things touch of which neither can move.
+    probe = spec.worldbody.add_body(name="the_probe")
+    probe.add_freejoint()
+    probe.add_geom(size=[PROBE, 0, 0], contype=-1, conaffinity=-1)
+    for key in list(spec.keys):
+        spec.delete(key)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:-7] = model.qpos0[:-7] if qpos is None else qpos
+    found, ball = [], model.ngeom - 1
+    for point in points:
+        data.qpos[-7:-4] = point
+        mujoco.mj_fwdPosition(model, data)
+        pairs = [set(pair) for pair in data.contact.geom.tolist()]
+        others = {g for pair in pairs if ball in pair for g in pair - {ball}}
+        names = {model.body(model.geom_bodyid[g]).name for g in others}
+        found.append(bool(names - set(left_out)))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("keyframe", [None, "fallen"])
+def test_obstacles_are_where_the_c_engine_has_them(tmp_path, keyframe):
+    path = written(tmp_path, TABLE)
+    scene = scene_from_mjcf(path, keyframe=keyframe)
+    assert sorted(kinds_of(scene)) == ["box", "capsule", "cylinder", "half_space", "sphere"]
+    points = samples(scene)
+    away = distances(scene, points)
+    clear = np.abs(away - PROBE) > 1e-4
+    qpos = None if keyframe is None else [-0.3, 0.4, 0, 1, 0, 0, 0]
+    found = touched(path, points, qpos=qpos)
+    np.testing.assert_array_equal(found[clear], (away < PROBE)[clear])
+    assert 0.2 < found.mean() < 0.8
+
+
+def test_names_that_are_ignored_are_left_out_with_what_hangs_on_them(tmp_path):
+    path = written(tmp_path, TABLE)
+    scene = scene_from_mjcf(path, ignore=["floor", "rail"])
+    assert sorted(kinds_of(scene)) == ["box", "cylinder", "sphere"]
+    with pytest.raises(InputError, match=r"no body or geom 'rial' to ignore .* \['lid', 'rail'\]"):
+        scene_from_mjcf(path, ignore=["rial"])
+    with pytest.raises(InputError, match="no body or geom '' to ignore"):
+        scene_from_mjcf(path, ignore=[""])
+    with pytest.raises(InputError, match="ignore is 'rail'; give a list"):
+        scene_from_mjcf(path, ignore="rail")
+    with pytest.raises(InputError, match=r"no keyframe 'home' in .*; there are \['fallen'\]"):
+        scene_from_mjcf(path, keyframe="home")
+
+
+# A robot whose base its file lifts, with nameless links and a mount beside it in the world.
+ARM = """
+<mujoco model="arm">
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    {mount}
+    <body name="base" {place}>
+      <geom type="box" size="0.1 0.1 0.1" contype="1" conaffinity="1"/>
+      <body name="upper" pos="0 0 0.2">
+        <joint name="a" axis="0 0 1" range="-3 3"/>
+        <geom type="sphere" size="0.08" pos="0.2 0 0" mass="1"/>
+        <body pos="0.4 0 0">
+          <joint name="b" axis="0 1 0" range="-2.5 2.5"/>
+          <geom type="sphere" size="0.08" pos="0.15 0 0" mass="1"/>
+          {more}
+        </body>
+        {tool}
+      </body>
+      {camera}
+    </body>
+    {world}
+  </worldbody>
+</mujoco>
+"""
+PARTS = dict.fromkeys("mount place more tool camera world".split(), "")
+MOUNT = '<geom type="sphere" size="0.05" pos="0 0 0.45"/>'
+WORLD = """
+<geom name="floor" type="plane" size="1 1 1" pos="0 0 -0.4" euler="0.1 0 0"/>
+<body pos="0.9 0 0.4" euler="0 0 0.3"><geom type="box" size="0.2 0.3 0.1"/></body>
+<body name="drawer" pos="-0.5 0.6 0.5">
+  <joint name="slide" type="slide" axis="1 0 0" range="0 0.3"/>
+  <geom type="cylinder" size="0.1 0.2" mass="1"/>
+</body>
+"""
+PLACE = 'pos="0.1 0.2 0.5" euler="0.3 0 0.5"'
+OTHER_PLACE = 'pos="0.4 -0.2 0.6" euler="0 0.2 -0.4"'
+LATER_MOUNT = '<geom type="sphere" size="0.05" pos="{} {} {}" quat="{} {} {} {}"/>'
+
+
+def arm(**parts) -> str:
+    return ARM.format(**(PARTS | parts))
+
+
+def test_the_scene_is_seen_from_the_base_of_the_robot_in_it(tmp_path):
+    robot = load_robot(written(tmp_path, arm(place=PLACE, mount=MOUNT), "arm.xml"))
+    # The scene has the arm elsewhere, and its mount with it: as the base sees it in its own file.
+    own = robot.mj_model
+    fixed = int(np.flatnonzero((own.geom_bodyid == 0) & (own.geom_type == 2))[0])
+    spot, turned = own.geom_pos[fixed], np.zeros(4)
+    empty = mujoco.MjModel.from_xml_string(arm(place=OTHER_PLACE))
+    data = mujoco.MjData(empty)
+    mujoco.mj_kinematics(empty, data)
+    base = data.body("base")
+    turn = base.xmat.reshape(3, 3)
+    mujoco.mju_mulQuat(turned, base.xquat, own.geom_quat[fixed])
+    mount = LATER_MOUNT.format(*(turn @ spot + base.xpos), *turned)
+    path = written(tmp_path, arm(place=OTHER_PLACE, mount=mount, world=WORLD))
+    scene = scene_from_mjcf(path, robot=robot)
+    assert sorted(kinds_of(scene)) == ["box", "cylinder", "half_space"]
+    points = samples(scene)
+    away = distances(scene, points)
+    clear = np.abs(away - PROBE) > 1e-4
+    bare = written(tmp_path, arm(place=OTHER_PLACE, world=WORLD), "bare.xml")
+    links = ("base", "upper", "link")
+    bare.write_text(bare.read_text().replace('<body pos="0.4 0 0">', '<body name="link">'))
+    found = touched(bare, points @ turn.T + base.xpos, left_out=links)
+    np.testing.assert_array_equal(found[clear], (away < PROBE)[clear])
+    assert 0.2 < found.mean() < 0.8
+
+
+def test_a_first_link_that_hangs_in_the_world_is_where_its_joint_is_at_zero(tmp_path, tiny_path):
+    robot = load_robot(tiny_path)
+    text = tiny_path.read_text()
+    ball = '<geom name="ball" type="sphere" size="0.2" pos="1 2 3"/>'
+    alone = text.replace("</worldbody>", f"{ball}</worldbody>").replace(
+        "</mujoco>", '<keyframe><key name="bent" qpos="1 1 1"/></keyframe></mujoco>'
+    )
+    for keyframe in (None, "bent"):
+        scene = scene_from_mjcf(written(tmp_path, alone), robot=robot, keyframe=keyframe)
+        assert kinds_of(scene) == ["sphere"]  # not the arm's own sphere in the world
+        np.testing.assert_allclose(scene.centers[0], [1, 2, 3], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["kuka_iiwa14", "franka_panda"])
+def test_a_scene_that_includes_a_shipped_robot_has_only_the_rest(tmp_path, name):
+    robot = load_robot(name)
+    text = f"""
+    <mujoco><include file="{robot.path.resolve()}"/>
+      <worldbody>
+        <geom name="floor" type="plane" size="0 0 0.05"/>
+        <body name="cube" pos="0.5 0 0.2"><geom type="box" size="0.1 0.1 0.1"/></body>
+      </worldbody>
+    </mujoco>"""
+    scene = scene_from_mjcf(written(tmp_path, text), robot=robot)
+    assert kinds_of(scene) == ["box", "half_space"]
+    np.testing.assert_allclose(scene.centers[0], [0.5, 0, 0.2], atol=1e-6)
+    with pytest.raises(InputError, match="moves by a joint; if that is the robot, give robot="):
+        scene_from_mjcf(written(tmp_path, text))
+    first = robot.mj_model.body(1).name
+    assert kinds_of(scene_from_mjcf(written(tmp_path, text), ignore=[first])) == kinds_of(scene)
+
+
+def test_what_a_robot_carries_and_does_not_have_is_refused(tmp_path):
+    robot = load_robot(written(tmp_path, arm(), "arm.xml"))
+    tool = '<body name="tool"><geom type="box" size="0.1 0.1 0.1"/></body>'
+    nameless = '<body><body><geom type="box" size="0.1 0.1 0.1"/></body></body>'
+    for part in ({"tool": tool}, {"more": nameless}, {"tool": nameless}):
+        path = written(tmp_path, arm(**part))
+        with pytest.raises(InputError, match="is carried by arm, whose own model lacks it"):
+            scene_from_mjcf(path, robot=robot)
+    assert not scene_from_mjcf(
+        written(tmp_path, arm(tool=tool)), robot=robot, ignore=["tool"]
+    ).mask.any()
+    # On the base, which does not move, it is an obstacle like others.
+    camera = '<body name="camera" pos="0 1 0"><geom type="sphere" size="0.1"/></body>'
+    assert kinds_of(scene_from_mjcf(written(tmp_path, arm(camera=camera)), robot=robot)) == [
+        "sphere"
+    ]
+
+
+def test_a_nameless_body_of_the_world_is_not_the_robots(tmp_path):
+    nameless = arm().replace('body name="base"', "body")
+    robot = load_robot(written(tmp_path, nameless, "arm.xml"))
+    with pytest.raises(InputError, match="holds none of the first bodies of arm"):
+        scene_from_mjcf(written(tmp_path, TABLE), robot=robot)
+
+
+@pytest.mark.parametrize(
+    ("kind", "attributes"),
+    [
+        ("mesh", 'mesh="tetra"'),
+        ("ellipsoid", 'size="0.1 0.2 0.3"'),
+        ("hfield", 'hfield="hills"'),
+    ],
+)
+def test_geoms_that_are_not_read_are_refused_by_name(tmp_path, kind, attributes):
+    text = f"""
+    <mujoco>
+      <asset>
+        <mesh name="tetra" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
+        <hfield name="hills" nrow="2" ncol="2" size="1 1 1 1"/>
+      </asset>
+      <worldbody><body name="thing"><geom name="odd" type="{kind}" {attributes}/></body></worldbody>
+    </mujoco>"""
+    path = written(tmp_path, text)
+    fault = f"geom odd .of body thing. .* is of the type {kind}, which is not read; enclose it"
+    with pytest.raises(InputError, match=fault):
+        scene_from_mjcf(path)
+    assert not scene_from_mjcf(path, ignore=["odd"]).mask.any()
+
+
+def test_a_geom_that_collides_in_an_explicit_pair_alone_is_an_obstacle(tmp_path):
+    ghost = '<geom name="{}" type="sphere" size="1" contype="0" conaffinity="0"/>'
+    text = f"""
+    <mujoco><worldbody>
+      {ghost.format("seen")}<body><freejoint/>{ghost.format("one")}{ghost.format("other")}</body>
+      </worldbody><contact><pair geom1="seen" geom2="one"/></contact></mujoco>"""
+    text = text.replace('name="other"', 'name="other" mass="1"')
+    assert kinds_of(scene_from_mjcf(written(tmp_path, text))) == ["sphere", "sphere"]
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("<mujoco><worldbody><geom/></worldbody></mujoco>", "MuJoCo cannot read"),
+        ("no XML", "MuJoCo cannot read"),
+        (
+            '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>',
+            "must be finite|MuJoCo cannot read",
+        ),
+    ],
+)
+def test_files_that_are_no_models_are_refused(tmp_path, text, fault):
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match=fault):
+        scene_from_mjcf(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"no MJCF file at '.*none.xml'; check the path"):
+        scene_from_mjcf(tmp_path / "none.xml")

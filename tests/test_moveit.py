@@ -1,0 +1,411 @@
+"""MoveIt's planning scenes and requests: what stands where, and what is refused."""
+
+import copy
+import logging
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from gnnjax import load_robot, problem_from_moveit, scene_from_moveit
+from gnnjax.errors import InputError
+from gnnjax.problems import moveit
+from gnnjax.scene.messages import read_message
+from gnnjax.scene.scene import Scene
+from gnnjax.scene.shapes import KINDS, kind_of
+
+TURN = [0.0, 0.0, 0.6, 0.8]  # x y z w
+
+# As the benchmarks are published: types by name, poses as lists, headers left out.
+SCENE = """
+robot_model_name: panda
+name: ""
+fixed_frame_transforms:
+  - transform: {translation: [0, 0, 0], rotation: [0, 0, 0, 1]}
+    child_frame_id: world
+allowed_collision_matrix: {entry_names: [hand], entry_values: [[false]]}
+robot_state:
+  joint_state: {name: [a], position: [0]}
+  multi_dof_joint_state:
+    joint_names: [virtual_joint]
+    transforms: [{translation: [0, 0, 0], rotation: [0, 0, 0, 1]}]
+    wrench: []
+    twist: []
+world:
+  collision_objects:
+    - id: can
+      primitives: [{type: cylinder, dimensions: [0.14, 0.03]}]
+      primitive_poses: [{position: [0.5, 0.1, 0.3], orientation: [0, 0, 0.6, 0.8]}]
+    - id: table
+      primitives: [{type: box, dimensions: [0.8, 0.4, 0.02]}, {type: sphere, dimensions: [0.2]}]
+      primitive_poses:
+        - {position: [0, 1, 0], orientation: [0.6, 0, 0, 0.8]}
+        - {position: [1e-05, -1, 2], orientation: [0, 0, 0, 1]}
+"""
+REQUEST = """
+group_name: arm
+workspace_parameters: {min_corner: [-1, -1, -1], max_corner: [1, 1, 1]}
+start_state:
+  multi_dof_joint_state:
+    joint_names: [virtual_joint]
+    transforms: [{translation: [0, 0, 0], rotation: [0, 0, 0, 1]}]
+  joint_state: {name: [c, finger, a, b], position: [0.3, 0.04, 0.1, 0.2]}
+goal_constraints:
+  - joint_constraints:
+      - {joint_name: b, position: -0.2}
+      - {joint_name: c, position: -0.3, tolerance_above: 0.01, tolerance_below: 0.01, weight: 1}
+      - {joint_name: a, position: -0.1}
+"""
+
+
+def written(folder, message, name="scene.yaml"):
+    path = folder / name
+    text = message if isinstance(message, str) else yaml.safe_dump(message)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def read(folder, message) -> Scene:
+    return scene_from_moveit(written(folder, message))
+
+
+@pytest.fixture
+def message():
+    return yaml.safe_load(SCENE)
+
+
+def existing(scene: Scene) -> dict[str, np.ndarray]:
+    """Of each kind, the centres and what follows."""
+    kinds = np.where(scene.mask, kind_of(scene.half_extents, scene.radii), -1)
+    columns = np.concatenate([np.asarray(x) for x in scene[:4]], axis=-1)
+    return {kind: columns[kinds == number] for number, kind in enumerate(KINDS)}
+
+
+def test_full_edges_heights_and_quaternions_become_ours(tmp_path, message):
+    found = existing(read(tmp_path, message))
+    #                              centre       half extents     w x y z           disc, ball
+    box = [0, 1, 0, 0.4, 0.2, 0.01, 0.8, 0.6, 0, 0, 0, 0]
+    ball = [1e-5, -1, 2, 0, 0, 0, 1, 0, 0, 0, 0, 0.2]
+    can = [0.5, 0.1, 0.3, 0, 0, 0.07, 0.8, 0, 0, 0.6, 0.03, 0]
+    np.testing.assert_allclose(found["box"], [box], atol=1e-7)
+    np.testing.assert_allclose(found["sphere"], [ball], atol=1e-7)
+    np.testing.assert_allclose(found["cylinder"], [can], atol=1e-7)
+
+
+def test_types_by_number_fields_by_name_and_a_second_document_are_read(tmp_path, message):
+    expected = read(tmp_path, message)
+    world = message["world"]["collision_objects"]
+    for each, numbers in zip(world, ([3], [1, 2]), strict=True):
+        for primitive, number in zip(each["primitives"], numbers, strict=True):
+            primitive["type"] = number
+        each |= {"operation": 0, "header": {"frame_id": "world"}, "meshes": [], "plane_poses": []}
+        for pose in each["primitive_poses"]:
+            for name, axes in (("position", "xyz"), ("orientation", "xyzw")):
+                pose[name] = dict(zip(axes, pose[name], strict=True))
+    message["world"]["octomap"] = {"octomap": {"id": "", "data": [], "resolution": 0.0}}
+    echoed = yaml.safe_dump(message) + "\n---\n"
+    for mine, theirs in zip(read(tmp_path, echoed), expected, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+def random_pose(rng):
+    return rng.uniform(-1, 1, 3), Rotation.random(rng=rng)
+
+
+def as_fields(pose, names=("position", "orientation")):
+    return {names[0]: pose[0].tolist(), names[1]: pose[1].as_quat().tolist()}
+
+
+def test_the_poses_of_frame_object_primitive_and_robot_are_composed(tmp_path, message):
+    rng = np.random.default_rng(0)
+    frame, thing, primitive, robot = (random_pose(rng) for _ in range(4))
+    message["fixed_frame_transforms"].append(
+        {"child_frame_id": "camera", "transform": as_fields(frame, ("translation", "rotation"))}
+    )
+    message["robot_state"]["multi_dof_joint_state"]["transforms"] = [
+        as_fields(robot, ("translation", "rotation"))
+    ]
+    message["world"]["collision_objects"] = [
+        {
+            "id": 7,
+            "header": {"frame_id": "camera"},
+            "pose": as_fields(thing),
+            "primitives": [{"type": "box", "dimensions": [0.2, 0.4, 0.6]}],
+            "primitive_poses": [as_fields(primitive)],
+            "planes": [{"coef": [1.0, 2.0, 2.0, 3.0]}],
+            "plane_poses": [as_fields(primitive)],
+        }
+    ]
+    found = existing(read(tmp_path, message))
+    corners = rng.uniform(-1, 1, (5, 3)) * [0.1, 0.2, 0.3]
+
+    def to_base(points):
+        for position, rotation in (primitive, thing, frame):
+            points = rotation.apply(points) + position
+        return robot[1].inv().apply(points - robot[0])
+
+    (row,) = found["box"]
+    seen = Rotation.from_quat(row[6:10], scalar_first=True).apply(corners) + row[:3]
+    np.testing.assert_allclose(seen, to_base(corners), atol=1e-6)
+    # The plane: what is on it is on the face of the half-space, which the base is not in.
+    on = np.array([[-3.0, 0, 0], [0, -1.5, 0], [0, 0, -1.5]])
+    (row,) = found["half_space"]
+    local = Rotation.from_quat(row[6:10], scalar_first=True).inv()
+    np.testing.assert_allclose(local.apply(to_base(on) - row[:3])[:, 2], row[5], atol=1e-4)
+    assert local.apply(-row[:3])[2] > row[5]
+
+
+@pytest.mark.parametrize(("coef", "up"), [([0, 0, 1, 0.5], 1), ([0, 0, -2, -1.0], 1)])
+def test_a_plane_leaves_the_arm_on_the_side_of_its_base(tmp_path, message, coef, up):
+    message["world"]["collision_objects"] = [
+        {
+            "id": "floor",
+            "planes": [{"coef": coef}],
+            "plane_poses": [{"position": [0, 0, 0], "orientation": [0, 0, 0, 1]}],
+        }
+    ]
+    (row,) = existing(read(tmp_path, message))["half_space"]
+    np.testing.assert_allclose(row[2] + up * row[5], -0.5, atol=1e-6)
+
+
+def test_an_object_may_have_the_pose_of_its_only_shapes(tmp_path, message):
+    table = message["world"]["collision_objects"][0]
+    pose = table.pop("primitive_poses")[0]
+    table["pose"] = pose
+    np.testing.assert_allclose(
+        existing(read(tmp_path, message))["cylinder"][0, :3], [0.5, 0.1, 0.3]
+    )
+    # As fields have that nobody set.
+    table |= {"pose": {"position": [0] * 3, "orientation": [0] * 4}, "primitive_poses": [pose]}
+    np.testing.assert_allclose(
+        existing(read(tmp_path, message))["cylinder"][0, :3], [0.5, 0.1, 0.3]
+    )
+
+
+def test_one_frame_that_nothing_else_names_is_the_planning_frame(tmp_path, message):
+    del message["fixed_frame_transforms"]
+    objects = message["world"]["collision_objects"]
+    for each in objects:
+        each["header"] = {"frame_id": "base_link"}
+    assert read(tmp_path, message).mask.sum() == 3
+    objects[1]["header"] = {"frame_id": "camera"}
+    with pytest.raises(InputError, match=r"is in the frame 'base_link', and there are \[''\]"):
+        read(tmp_path, message)
+
+
+def put(*path_and_value):
+    """A change of a message: a value at a path into it; the function `dict.pop` removes."""
+    *path, value = path_and_value
+
+    def change(message):
+        for step in path[:-1]:
+            message = message[step]
+        if value is dict.pop:
+            message.pop(path[-1])
+        else:
+            message[path[-1]] = value
+
+    return change
+
+
+FIRST = ("world", "collision_objects", 0)
+TABLE = ("world", "collision_objects", 1)
+POSE = {"position": [0, 0, 0], "orientation": [0, 0, 0, 1]}
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (put(*FIRST, "primitives", 0, "type", "cone"), "type 'cone'; there are .* enclose it"),
+        (put(*FIRST, "primitives", 0, "type", 4), "type 'cone'"),
+        (put(*FIRST, "primitives", 0, "type", "torus"), r"type 'torus'; there are \['box'"),
+        (put(*FIRST, "primitives", 0, "type", 9), "type 9"),
+        (put(*FIRST, "primitives", 0, "dimensions", [0.1]), "height, radius.* list of 2 finite"),
+        (put(*TABLE, "primitives", 0, "dimensions", [1, 1, -1]), "object 'table'.* positive"),
+        (put(*FIRST, "primitives", 0, "dimensions", 3), "dimensions .* give a list of 2"),
+        (put(*FIRST, "primitives", 0, "polygon", [1]), None),
+        (put(*FIRST, "primitive_poses", []), "0 primitive_poses for 1 primitives"),
+        (put(*FIRST, "primitive_poses", 0, "position", dict.pop), "position .* list of 3 finite"),
+        (put(*FIRST, "primitive_poses", 0, "position", [0, float("nan"), 0]), "3 finite numbers"),
+        (put(*FIRST, "primitive_poses", 0, "position", [True, 0, 0]), "3 finite numbers"),
+        (put(*FIRST, "primitive_poses", 0, "position", ["far", 0, 0]), "3 finite numbers"),
+        (put(*FIRST, "primitive_poses", 0, "orientation", [0, 0, 1]), "list of 4 finite numbers"),
+        (put(*FIRST, "primitive_poses", 0, "orientation", [0] * 4), "zeros; give a rotation"),
+        (put(*FIRST, "primitives", [{"type": "box", "dimensions": [1e5] * 3}]), "below 10000 m"),
+        (put(*FIRST, "meshes", [{"vertices": []}]), "object 'can' of .* has a mesh"),
+        (put(*FIRST, "primitives", []), "1 primitive_poses for 0 primitives"),
+        (put(*FIRST, {"id": "nothing"}), "object 'nothing' .* no primitives and no planes"),
+        (put(*FIRST, "planes", [{"coef": [0, 0, 0, 1]}]), "0 plane_poses for 1 planes"),
+        (put(*FIRST, "operation", "move"), "operation 'move'"),
+        (put(*FIRST, "operation", 1), "operation 1"),
+        (put(*FIRST, "header", {"frame_id": "hand"}), r"frame 'hand', and there are \['', 'world'"),
+        (put(*FIRST, "hulls", [1]), r"a collision object .* has \['hulls'\]"),
+        (put(*FIRST, "a string"), "a collision object of .* is 'a string'"),
+        (put("world", "octomap", {"octomap": {"data": [0, 1]}}), "holds an octomap"),
+        (put("world", "collision_objects", 3), "collision_objects = 3; give a list"),
+        (put("world", "voxels", 3), r"world of .* has \['voxels'\]"),
+        (put("is_diff", True), "is a difference to another"),
+        (put("link_padding", [{"link_name": "hand", "padding": 0.01}]), "link_padding 0.01"),
+        (put("link_scale", [{"link_name": "hand", "scale": 1.0}]), None),
+        (put("robot_state", "attached_collision_objects", [{}]), "attached to the robot"),
+        (
+            put("robot_state", "multi_dof_joint_state", "joint_names", ["a", "b"]),
+            r"1 transforms for the joints \['a', 'b'\]",
+        ),
+        (
+            put("fixed_frame_transforms", 0, "transform", "rotation", [0, 0, 0, 0]),
+            "rotation of a transform of fixed_frame_transforms",
+        ),
+        (put("meshes", []), r"has \['meshes'\], which is not known here"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_in_a_sentence(tmp_path, message, change, fault):
+    change(message)
+    if fault is None:
+        assert read(tmp_path, message).mask.sum() == 3
+        return
+    with pytest.raises(InputError, match=fault) as found:
+        read(tmp_path, message)
+    assert "scene.yaml" in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("a: [1", "is no YAML"),
+        ("name: a\nname: b", "'name' comes twice in one mapping"),
+        ("world: {}\n---\nworld: {}\n", "holds 2 messages; give a file with one"),
+        ("", "holds 0 messages"),
+        ("- 1", r"is \[1\]; it should have fields"),
+        ("name: !!python/object/apply:os.getcwd []", "is no YAML"),
+    ],
+)
+def test_files_that_hold_no_message_are_refused(tmp_path, text, fault):
+    with pytest.raises(InputError, match=fault):
+        read(tmp_path, text)
+
+
+def test_missing_files_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"no planning scene '.*none.yaml'; check the path"):
+        scene_from_moveit(tmp_path / "none.yaml")
+    with pytest.raises(InputError, match="is a folder"):
+        scene_from_moveit(tmp_path)
+    path = tmp_path / "latin.yaml"
+    path.write_bytes(b"name: \xe9\xff")
+    with pytest.raises(InputError, match="is no YAML"):
+        read_message(path, "planning scene", ["name"])
+
+
+def problem_of(folder, robot, request, scene=SCENE, **options):
+    scene, request = written(folder, scene), written(folder, request, "request.yaml")
+    return problem_from_moveit(scene, request, robot, **options)
+
+
+@pytest.fixture
+def request_message():
+    return yaml.safe_load(REQUEST)
+
+
+def test_joints_are_in_the_robots_order_whatever_the_files(tmp_path, tiny_path, caplog):
+    problem = problem_of(tmp_path, load_robot(tiny_path), REQUEST)
+    np.testing.assert_allclose(problem.start, [0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(problem.goal, [-0.1, -0.2, -0.3], rtol=1e-6)
+    assert problem.scene.mask.sum() == 3
+    assert problem.start.dtype == np.float32
+    assert "has finger at 0.04, which tiny does not have as a joint" in caplog.text
+
+
+def test_names_that_end_alike_are_the_same_joint(tmp_path, caplog):
+    robot = load_robot("franka_panda")  # joint_1 to joint_7
+    names = [f"panda_joint{i}" for i in range(1, 8)]
+    start = {"name": [*names, "panda_finger_joint1"], "position": [0.1 * i for i in range(8)]}
+    goal = [{"joint_name": name, "position": 0.5 + i} for i, name in enumerate(names)]
+    request = {
+        "start_state": {"joint_state": start},
+        "goal_constraints": [{"joint_constraints": goal[::-1]}],
+    }
+    problem = problem_of(tmp_path, robot, request)
+    np.testing.assert_allclose(problem.start, 0.1 * np.arange(7), rtol=1e-6)
+    np.testing.assert_allclose(problem.goal, 0.5 + np.arange(7))
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]  # the finger
+
+
+@pytest.mark.parametrize(
+    ("joint", "other", "alike"),
+    [
+        ("joint_1", "panda_joint1", True),
+        ("iiwa_joint_1", "joint_a1", False),
+        ("left_joint1", "right_joint1", False),
+        ("joint_1", "panda_joint11", False),
+        ("", "a", False),
+    ],
+)
+def test_which_names_end_alike(joint, other, alike):
+    assert moveit._end_alike(joint, other) is alike
+    assert moveit._end_alike(other, joint) is alike
+
+
+def test_names_may_be_given(tmp_path, tiny_path, request_message):
+    robot = load_robot(tiny_path)
+    text = REQUEST.replace("joint_name: a", "joint_name: waist").replace("r, a", "r, waist")
+    with pytest.raises(InputError, match=r"goal joints b, c, waist, none .* surely 'a' of tiny"):
+        problem_of(tmp_path, robot, text)
+    problem = problem_of(tmp_path, robot, text, names={"a": "waist"})
+    np.testing.assert_allclose(problem.goal, [-0.1, -0.2, -0.3], rtol=1e-6)
+    with pytest.raises(InputError, match=r"names has \['q'\], and the joints of tiny are"):
+        problem_of(tmp_path, robot, text, names={"q": "waist"})
+    with pytest.raises(InputError, match="none of them surely 'a'"):
+        problem_of(tmp_path, robot, text, names={"a": "wrist"})
+    with pytest.raises(InputError, match="none of them surely 'a'"):
+        problem_of(tmp_path, robot, text, names={"a": "b"})
+
+
+GOAL = ("goal_constraints", 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (put("goal_constraints", []), "has 0 goals"),
+        (put("goal_constraints", [{}, {}]), "has 2 goals in goal_constraints; give one"),
+        (put(*GOAL, "position_constraints", [{}]), r"\['position_constraints'\] in its goal"),
+        (put(*GOAL, "joint_constraints", 0, "position", float("inf")), "position in .* finite"),
+        (put(*GOAL, "joint_constraints", 0, "tolerance_above", -1), "must not be negative"),
+        (put(*GOAL, "joint_constraints", 0, "joint_name", "a"), "constrains a twice"),
+        (put("path_constraints", {"joint_constraints": [{}]}), "has path_constraints, which no"),
+        (put("path_constraints", {"name": "x", "joint_constraints": []}), None),
+        (put("start_state", "joint_state", dict.pop), "start_state of .* lacks a, b, c"),
+        (put("start_state", "joint_state", "position", [1.0]), "has 1 positions for the joints"),
+        (put("start_state", "joint_state", "name", ["a", "a", "b", "c"]), "4 positions for"),
+        (put("start_state", "attached_collision_objects", [{}]), "attached to the robot"),
+        (
+            put("start_state", "multi_dof_joint_state", "transforms", 0, "translation", [0, 0, 1]),
+            r"has the robot at \[0.0, 0.0, 1.0\] .* place it once",
+        ),
+        (put("start_state", "multi_dof_joint_state", dict.pop), None),
+        (put("goals", []), r"has \['goals'\], which is not known here"),
+    ],
+)
+def test_requests_that_ask_for_something_else_are_refused(
+    tmp_path, tiny_path, request_message, change, fault
+):
+    change(request_message)
+    robot = load_robot(tiny_path)
+    if fault is None:
+        assert problem_of(tmp_path, robot, request_message).start.shape == (3,)
+        return
+    with pytest.raises(InputError, match=fault):
+        problem_of(tmp_path, robot, request_message)
+
+
+def test_a_base_that_only_the_request_places_counts(tmp_path, tiny_path, message, request_message):
+    robot = load_robot(tiny_path)
+    here = problem_of(tmp_path, robot, request_message, message).scene
+    del message["robot_state"]
+    placed = copy.deepcopy(request_message)
+    place = placed["start_state"]["multi_dof_joint_state"]["transforms"][0]
+    place["translation"] = [0, 0, 1]
+    there = problem_of(tmp_path, robot, placed, message).scene
+    np.testing.assert_allclose(there.centers[:3], here.centers[:3] - [0, 0, 1], atol=1e-6)
