@@ -13,6 +13,7 @@ from typing import Any
 from experiments.commands import command_line
 from experiments.statistics import column, statistics, summarize_seeds
 from gnnjax.arm.robot import load_robot
+from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.planning.planner import make_planner
@@ -41,6 +42,10 @@ class ExperimentConfig:
     def out(self) -> Path:
         """The folder of the JSON and the figure: a quick look leaves the real results alone."""
         return self.results or Path("runs/quick" if self.quick else "results")
+
+
+class MissingProblems(InputError):
+    """Problems that others publish, and that nothing here can make, are not there."""
 
 
 def problem_set(

@@ -11,6 +11,7 @@ from experiments import (
     figure7,
     guides,
     hard,
+    motion_bench_maker,
     predictor,
     throughput,
 )
@@ -32,5 +33,6 @@ EXPERIMENTS: dict[str, Experiment] = {
         ablation,
         converged,
         throughput,
+        motion_bench_maker,
     )
 }

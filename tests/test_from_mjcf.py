@@ -101,7 +101,7 @@ def test_obstacles_are_where_the_c_engine_has_them(tmp_path, keyframe):
     qpos = None if keyframe is None else [-0.3, 0.4, 0, 1, 0, 0, 0]
     found = touched(path, points, qpos=qpos)
     np.testing.assert_array_equal(found[clear], (away < PROBE)[clear])
-    assert 0.2 < found.mean() < 0.8
+    assert 0.1 < found.mean() < 0.9
 
 
 def test_names_that_are_ignored_are_left_out_with_what_hangs_on_them(tmp_path):
@@ -185,7 +185,7 @@ def test_the_scene_is_seen_from_the_base_of_the_robot_in_it(tmp_path):
     bare.write_text(bare.read_text().replace('<body pos="0.4 0 0">', '<body name="link">'))
     found = touched(bare, points @ turn.T + base.xpos, left_out=links)
     np.testing.assert_array_equal(found[clear], (away < PROBE)[clear])
-    assert 0.2 < found.mean() < 0.8
+    assert 0.1 < found.mean() < 0.9
 
 
 def test_a_first_link_that_hangs_in_the_world_is_where_its_joint_is_at_zero(tmp_path, tiny_path):

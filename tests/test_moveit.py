@@ -298,6 +298,12 @@ def test_missing_files_are_named(tmp_path):
         read_message(path, "planning scene", ["name"])
 
 
+@pytest.fixture(autouse=True)
+def notes_are_new():
+    """Each is logged once a process."""
+    moveit._note.cache_clear()
+
+
 def problem_of(folder, robot, request, scene=SCENE, **options):
     scene, request = written(folder, scene), written(folder, request, "request.yaml")
     return problem_from_moveit(scene, request, robot, **options)
@@ -314,7 +320,9 @@ def test_joints_are_in_the_robots_order_whatever_the_files(tmp_path, tiny_path, 
     np.testing.assert_allclose(problem.goal, [-0.1, -0.2, -0.3], rtol=1e-6)
     assert problem.scene.mask.sum() == 3
     assert problem.start.dtype == np.float32
-    assert "has finger at 0.04, which tiny does not have as a joint" in caplog.text
+    problem_of(tmp_path, load_robot(tiny_path), REQUEST)
+    (record,) = caplog.records
+    assert record.message == "requests have finger at 0.04, which tiny does not have as a joint"
 
 
 def test_names_that_end_alike_are_the_same_joint(tmp_path, caplog):

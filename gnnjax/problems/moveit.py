@@ -1,5 +1,6 @@
 """MoveIt's motion plan requests, written as YAML: a start and a goal in a planning scene."""
 
+import functools
 import logging
 import re
 from collections.abc import Mapping, Sequence
@@ -79,7 +80,7 @@ def problem_from_moveit(
     goal = _goal(message, called)
     start = _start(message, called)
     mapping = _matched(robot, list(goal), names or {}, called)
-    _note_others(robot, start, set(mapping.values()), called)
+    _note_others(robot, start, set(mapping.values()))
     scene = scene_of(found._replace(base=found.base or base), f"planning scene {str(scene_path)!r}")
     return Problem(
         _configuration(mapping, start, f"start_state of {called}"),
@@ -173,14 +174,20 @@ def _end_alike(one: str, other: str) -> bool:
     return bool(one and other) and (one.endswith(other) or other.endswith(one))
 
 
-def _note_others(robot: Robot, start: dict[str, float], planned: set[str], called: str) -> None:
-    """Logs where joints are that the robot does not plan for, unless it holds them there."""
+def _note_others(robot: Robot, start: dict[str, float], planned: set[str]) -> None:
+    """Notes where joints are that the robot does not plan for, unless it holds them there."""
     held: Mapping[str, float] = getattr(robot, "held", {})
     for name, value in start.items():
         if name in planned or abs(held.get(name, np.inf) - value) <= _SAME:
             continue
         where = f"holds at {held[name]:g}" if name in held else "does not have as a joint"
-        _LOG.warning("%s has %s at %g, which %s %s", called, name, value, robot.name, where)
+        _note(f"requests have {name} at {value:g}, which {robot.name} {where}")
+
+
+@functools.cache
+def _note(text: str) -> None:
+    """Logs a line, once for all the requests of a set."""
+    _LOG.warning(text)
 
 
 def _configuration(mapping: dict[str, str], values: dict[str, float], called: str) -> np.ndarray:

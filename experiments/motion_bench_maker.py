@@ -1,0 +1,326 @@
+"""Claim: MotionBenchMaker's problems are solved, at a lower cost than by RRT-Connect, simplified.
+
+    python -m experiments.motion_bench_maker --folder problems/    # YAML, as they are published
+    python -m experiments.motion_bench_maker --problems problems.npz
+
+The problems are those of Chamzas et al., "MotionBenchMaker: A Tool to Generate and Benchmark
+Motion Planning Datasets" (2021): a folder a scene, with a MoveIt planning scene and request a
+problem. They are not shipped.
+
+The guided planner plans the problems of a scene one at a time, for the times of single queries,
+and all at once, for plans a second. OMPL's planners test with the same kernel and plan one problem
+after the other, in processes with a core each; the clock runs for all of these together. Everything
+is planned once before, untimed, as compilation is not part of it. What was planned is kept in
+`runs/`.
+
+Total times hold the check of the query, and the guided planner's the certificate; OMPL's paths are
+certified afterwards. VAMP's costs, where a set has them, are its authors' own.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from pathlib import Path
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.cases import classical_case
+from experiments.contenders import (
+    in_pools,
+    in_processes,
+    planner_of,
+    read_problems,
+    start_workers,
+)
+from experiments.measure import ExperimentConfig, MissingProblems, problem_set
+from experiments.moveit_folder import problems_of_folder
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Row
+from experiments.style import COLORS, label
+from experiments.tables import cell, markdown
+from experiments.turns import Columns, kept, per_s, summarize, summarize_turn
+from gnnjax.arm.robot import load_robot
+from gnnjax.errors import InputError
+from gnnjax.evaluate import EvaluateConfig
+from gnnjax.problems.file import save_problems
+from gnnjax.problems.problem import ProblemSet
+from gnnjax.problems.shards import load_problems
+
+OWN = "guided"
+RIVALS = ("ompl:rrt_connect", "ompl:rrt_connect@simplified", "ompl:bit_star")
+ALL = "all scenes"
+# What a set may state of others, by the names of its arrays.
+PUBLISHED = {
+    "vamp_cost": "VAMP, as published",
+    "vamp_simplified_cost": "VAMP, simplified, as published",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionBenchMakerConfig(ExperimentConfig):
+    """Problems of MotionBenchMaker, scene by scene; of the seeds, the first alone."""
+
+    folder: Path | None = None
+    """Folder with the published YAML files; what they hold is kept in data/ as a problem set."""
+    problems: Path | None = None
+    """The problem set; by default data/ROBOT_motion_bench_maker.npz."""
+    num_problems: int | None = None
+    """Only the first so many problems of each scene."""
+    time_limit: float = 1.0
+    """Seconds after which OMPL's planners give a problem up."""
+    processes: int = 2
+    """Processes of OMPL's planners."""
+
+
+def measurement(config: MotionBenchMakerConfig) -> Measurement:
+    """Rows of all planners, in each scene and in all."""
+    if config.processes < 1 or (config.num_problems is not None and config.num_problems < 1):
+        raise InputError("processes and num_problems must be at least 1")
+    robot = config.robot or "franka_panda"
+    path = _problems(config, robot)
+    problems = load_problems(path, load_robot(robot))
+    rows = _rows_by_scene(problems, path, config.num_problems)
+    settings = {
+        "robot": Path(robot).stem,
+        "set": path.stem,
+        "problems": {scene: len(chosen) for scene, chosen in rows.items()},
+        "time_limit": config.time_limit,
+        "processes": config.processes,
+        "seed": config.seeds[0],
+    }
+    told = {name: problems.extras[name] for name in PUBLISHED if name in problems.extras}
+    # What other settings have measured lies elsewhere.
+    digest = hashlib.sha256(json.dumps(settings).encode() + path.read_bytes()).hexdigest()[:8]
+    folder = config.runs / f"motion_bench_maker_{path.stem}_{digest}"
+
+    def case(planner: str) -> EvaluateConfig:
+        limit = np.inf if planner == OWN else config.time_limit
+        made = classical_case(path, robot, planner)
+        return dataclasses.replace(made, time_limit=limit, seed=config.seeds[0])
+
+    return Measurement(_rows(config, case, rows, told, folder), {"settings": settings})
+
+
+def _problems(config: MotionBenchMakerConfig, robot: str) -> Path:
+    """The file of the set, made of the folder that is named."""
+    if config.folder is not None and config.problems is not None:
+        raise InputError("--folder and --problems are both given; name one of them")
+    path = config.data / f"{Path(robot).stem}_motion_bench_maker.npz"
+    if config.problems is not None:
+        return config.problems
+    if config.folder is not None:
+        if not config.folder.is_dir():
+            raise InputError(f"no folder {str(config.folder)!r}; check the path")
+        save_problems(path, problems_of_folder(config.folder, load_robot(robot)))
+    if path.exists():
+        return path
+    if config.quick:
+        return problem_set(config, robot, num_problems=4)
+    raise MissingProblems(
+        f"no problem set {str(path)!r}; name the folder of MotionBenchMaker's published problems "
+        "(--folder) once"
+    )
+
+
+def _rows_by_scene(problems: ProblemSet, path: Path, most: int | None) -> dict[str, np.ndarray]:
+    """The problems of each scene; a set that names no scenes has one."""
+    names = problems.extras.get("scene", np.full(len(problems), path.stem))
+    if names.shape != (len(problems),):
+        raise InputError(
+            f"scene of problem set {str(path)!r} has shape {names.shape}; give a name a problem"
+        )
+    return {str(name): np.flatnonzero(names == name)[:most] for name in np.unique(names)}
+
+
+def _rows(
+    config: MotionBenchMakerConfig,
+    case: Callable[[str], EvaluateConfig],
+    rows: dict[str, np.ndarray],
+    told: dict[str, np.ndarray],
+    folder: Path,
+) -> Iterator[Row]:
+    turns: dict[str, dict[str, list[Columns]]] = {}
+    with start_workers(config.processes) as workers:
+        for scene, chosen in rows.items():
+            for planner in (OWN, *RIVALS):
+                path = folder / f"{scene}_{planner.replace(':', '-')}.json"
+                taken = kept(path, functools.partial(_plan, workers, case(planner), chosen))
+                turns.setdefault(planner, {})[scene] = taken
+                print(f"{scene}: {label(planner)}, {per_s(taken[-1]):.1f} plans/s", flush=True)
+                yield _row(scene, planner, [taken])
+    for planner, taken in turns.items():
+        yield _row(ALL, planner, list(taken.values()))
+    # Of the same problems, those that the guided planner solves.
+    solved = {
+        scene: chosen[np.array(turns[OWN][scene][0]["success"], bool)]
+        for scene, chosen in rows.items()
+    }
+    every = {ALL: np.concatenate(list(rows.values()))}
+    solved[ALL] = np.concatenate(list(solved.values()))
+    for scene, chosen in (rows | every).items():
+        for name, values in told.items():
+            yield {
+                "scene": scene,
+                "planner": name,
+                "num_problems": len(chosen),
+                "cost": {"mean": float(values[chosen].mean())},
+                "cost_where_guided_solves": _mean(values[solved[scene]]),
+            }
+
+
+def _plan(workers: Executor, case: EvaluateConfig, chosen: np.ndarray) -> list[Columns]:
+    """The turn that is told of, and for ours another with all problems at once."""
+    if case.is_classical:
+        in_processes(workers, case, chosen)  # compiles
+        return [summarize_turn(in_processes(workers, case, chosen))]
+    everything, planner = read_problems(case.robot, case.problems), planner_of(case)
+    own = jax.tree.map(lambda x: x[chosen], everything)
+    found = []
+    for pool in (1, len(chosen)):
+        in_pools(planner, own, pool, case.seed)
+        found.append(summarize_turn(in_pools(planner, own, pool, case.seed)))
+    return found
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return float(values.mean()) if len(values) else None
+
+
+def _row(scene: str, planner: str, taken: list[list[Columns]]) -> Row:
+    """Of a planner's turns in one or more scenes; the last of each is that of the clock."""
+    first = _joined([turns[0] for turns in taken])
+    clock = summarize([_joined([turns[-1] for turns in taken])])
+    row = {"scene": scene, "planner": planner} | summarize([first])
+    row["certified"] = float(np.mean(first["certified"]))
+    return row | {"per_s": clock["per_s"][0], "cores": clock["cores"][0]}
+
+
+def _joined(turns: list[Columns]) -> Columns:
+    """Turns over different problems, one after the other."""
+    walls = [turn["wall_s"] for turn in turns]
+    joined = {
+        name: [x for turn in turns for x in turn[name]]
+        for name, value in turns[0].items()
+        if isinstance(value, list)
+    }
+    cores = float(np.average([turn["cores"] for turn in turns], weights=walls))
+    return joined | {"wall_s": sum(walls), "cores": cores}
+
+
+def _of(results: Row, planner: str) -> dict[str, Row]:
+    """A planner's rows by scene."""
+    return {row["scene"]: row for row in results["rows"] if row["planner"] == planner}
+
+
+def draw(results: Row) -> Figure:
+    """Draws the share that is solved, and the mean cost, a group of bars a scene."""
+    figure = Figure(figsize=(11, 4.2), dpi=100, layout="constrained")
+    panels = figure.subplots(1, 2)
+    scenes = list(_of(results, OWN))
+    planners = [name for name in (OWN, *RIVALS, *PUBLISHED) if _of(results, name)]
+    width = 0.84 / len(planners)
+    for number, planner in enumerate(planners):
+        rows = _of(results, planner)
+        at = np.arange(len(scenes)) + width * (number - (len(planners) - 1) / 2)
+        style = {"color": COLORS.get(planner, "silver"), "label": PUBLISHED.get(planner)}
+        style["label"] = style["label"] or label(planner)
+        if planner == "vamp_simplified_cost":
+            style["color"] = "dimgray"
+        if planner not in PUBLISHED:
+            shares = [100 * rows[scene]["success_of_all"] for scene in scenes]
+            panels[0].bar(at, shares, 0.94 * width, **style)
+        costs = [rows[scene]["cost"] for scene in scenes]
+        heights = [np.nan if cost is None else cost["mean"] for cost in costs]
+        panels[1].bar(at, heights, 0.94 * width, **style)
+    for axes, title in zip(panels, ("solved of all, %", "cost of solved problems"), strict=True):
+        axes.set_xticks(range(len(scenes)), scenes, rotation=30, ha="right")
+        axes.set_title(title)
+    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def table(results: Row) -> str:
+    """A line a scene and planner."""
+    settings, machine = results["settings"], results["machine"]
+    words = (
+        f"{sum(settings['problems'].values())} problems of {settings['set']}.npz, "
+        f"{settings['robot']}; a problem is valid if both ends are free. OMPL in "
+        f"{settings['processes']} processes, at most {settings['time_limit']:g} s a problem; "
+        f"{OWN} one problem at a time, but plans/s with all of a scene at once. "
+        f"{machine['processor']}, {machine['cores']} cores, jax {machine['jax']}, gnnjax "
+        f"{machine['gnnjax']}.\n"
+    )
+    head = "scene,planner,problems,valid,solved of all %,of valid %,certified of all %".split(",")
+    head += ["cost (mean)", "configuration checks (median)"]
+    head += ["total of a query, ms (median)", "95 %", "plans/s"]
+    scenes = list(_of(results, OWN))
+    order = (OWN, *RIVALS, *PUBLISHED)
+    rows = sorted(
+        results["rows"], key=lambda row: (scenes.index(row["scene"]), order.index(row["planner"]))
+    )
+    return f"{words}\n{markdown(head, [_line(row) for row in rows])}"
+
+
+def _line(row: Row) -> list[str]:
+    name = row["planner"]
+    if name in PUBLISHED:
+        cost = cell(row["cost"], ".2f")
+        return [row["scene"], PUBLISHED[name], str(row["num_problems"]), *["-"] * 4, cost] + (
+            ["-"] * 4
+        )
+    shares = (row["success_of_all"], row["success"], row["certified"])
+    return [
+        row["scene"],
+        label(name),
+        str(row["num_problems"]),
+        str(row["num_accepted"]),
+        *("-" if share is None else f"{100 * share:.1f}" for share in shares),
+        cell(row["cost"], ".2f"),
+        cell(row["configuration_checks"], ".0f", key="median"),
+        *(cell(row["total_time_s"], ".1f", 1e3, key) for key in ("median", "p95")),
+        f"{row['per_s']:.1f}",
+    ]
+
+
+def verdict(results: Row) -> str:
+    """Whether all problems are solved, how many are valid, and what the paths cost."""
+    ours = _of(results, OWN)[ALL]
+    num, valid = ours["num_problems"], ours["num_accepted"]
+    solved = round(ours["success_of_all"] * num)
+    findings = [Finding(valid == num, f"{valid} of {num} problems have both ends free")]
+    if valid:
+        findings.append(Finding(solved == valid, f"{solved} of these {valid} are solved"))
+    theirs = _of(results, "ompl:rrt_connect@simplified")[ALL]
+    if ours["cost"] and theirs["cost"]:
+        costs = ours["cost"]["mean"], theirs["cost"]["mean"]
+        text = f"the mean cost is {costs[0]:.2f}, that of RRT-Connect, simplified, {costs[1]:.2f}"
+        findings.append(Finding(costs[0] <= costs[1], text))
+    beside = []
+    vamp = _of(results, "vamp_simplified_cost")
+    if vamp and vamp[ALL]["cost_where_guided_solves"] is not None:
+        mean = vamp[ALL]["cost_where_guided_solves"]
+        beside = [f"On what guided solves, VAMP's published mean cost, simplified, is {mean:.2f}."]
+    return judge(*findings, beside=beside)
+
+
+EXPERIMENT = Experiment(
+    name="motion_bench_maker",
+    title="MotionBenchMaker",
+    claim="MotionBenchMaker's problems are solved, at a lower cost than by RRT-Connect, "
+    "simplified.",
+    config=MotionBenchMakerConfig,
+    quick={"num_problems": 3, "processes": 1},
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
+
+
+if __name__ == "__main__":
+    main(EXPERIMENT)
