@@ -28,6 +28,8 @@ COLORS = {
     "ompl:bit_star": "tab:olive",
     "ompl:rrt_star": "tab:gray",
     "ompl:prm": "tab:cyan",
+    "vamp_cost": "silver",
+    "vamp_simplified_cost": "dimgray",
 }
 
 _LABELS = {
@@ -48,6 +50,8 @@ _LABELS = {
     "ompl:lazy_prm": "LazyPRM",
     "ompl:ait_star": "AIT*",
     "ompl:eit_star": "EIT*",
+    "vamp_cost": "VAMP, as published",
+    "vamp_simplified_cost": "VAMP, simplified, as published",
 }
 
 

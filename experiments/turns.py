@@ -39,6 +39,18 @@ def summarize_turn(turn: Turn) -> Columns:
     }
 
 
+def joined(turns: list[Columns]) -> Columns:
+    """Turns over different problems, one after the other."""
+    walls = [turn["wall_s"] for turn in turns]
+    lists = {
+        name: [x for turn in turns for x in turn[name]]
+        for name, value in turns[0].items()
+        if isinstance(value, list)
+    }
+    cores = float(np.average([turn["cores"] for turn in turns], weights=walls))
+    return lists | {"wall_s": sum(walls), "cores": cores}
+
+
 def per_s(turn: Columns) -> float:
     """Accepted problems a second."""
     return turn["accepted"].count(True) / turn["wall_s"]

@@ -1,0 +1,90 @@
+"""Rows of planners, a scene each and one for all of them: their figure, and their table."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.results import Row
+from experiments.style import COLORS, label
+from experiments.tables import cell, markdown
+
+OWN = "guided"
+RIVALS = ("ompl:rrt_connect", "ompl:rrt_connect@simplified", "ompl:bit_star")
+ALL = "all scenes"
+# What a set may state of others, by the names of its arrays.
+PUBLISHED = ("vamp_cost", "vamp_simplified_cost")
+
+
+def of_planner(results: Row, planner: str) -> dict[str, Row]:
+    """A planner's rows by scene."""
+    return {row["scene"]: row for row in results["rows"] if row["planner"] == planner}
+
+
+def draw(results: Row) -> Figure:
+    """Draws the share that is solved, and the mean cost, a group of bars a scene."""
+    figure = Figure(figsize=(11, 4.2), dpi=100, layout="constrained")
+    panels = figure.subplots(1, 2)
+    scenes = list(of_planner(results, OWN))
+    planners = [name for name in (OWN, *RIVALS, *PUBLISHED) if of_planner(results, name)]
+    width = 0.84 / len(planners)
+    for number, planner in enumerate(planners):
+        rows = of_planner(results, planner)
+        at = np.arange(len(scenes)) + width * (number - (len(planners) - 1) / 2)
+        style = {"color": COLORS[planner], "label": label(planner)}
+        if planner not in PUBLISHED:
+            shares = [100 * rows[scene]["success_of_all"] for scene in scenes]
+            panels[0].bar(at, shares, 0.94 * width, **style)
+        costs = [rows[scene]["cost"] for scene in scenes]
+        heights = [np.nan if cost is None else cost["mean"] for cost in costs]
+        panels[1].bar(at, heights, 0.94 * width, **style)
+    for axes, title in zip(panels, ("solved of all, %", "cost of solved problems"), strict=True):
+        axes.set_xticks(range(len(scenes)), scenes, rotation=30, ha="right")
+        axes.set_title(title)
+    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def table(results: Row) -> str:
+    """A line a scene and planner."""
+    settings, machine = results["settings"], results["machine"]
+    words = (
+        f"{sum(settings['problems'].values())} problems of {settings['set']}.npz, "
+        f"{settings['robot']}; a problem is valid if both ends are free. OMPL in "
+        f"{settings['processes']} processes, at most {settings['time_limit']:g} s a problem; "
+        f"{OWN} one problem at a time, but plans/s with all of a scene at once. "
+        f"{machine['processor']}, {machine['cores']} cores, jax {machine['jax']}, gnnjax "
+        f"{machine['gnnjax']}.\n"
+    )
+    head = "scene,planner,problems,valid,solved of all %,of valid %,certified of all %".split(",")
+    head += ["cost (mean)", "where guided solves, too", "configuration checks (median)"]
+    head += ["total of a query, ms (median)", "95 %", "plans/s"]
+    scenes = list(of_planner(results, OWN))
+    order = (OWN, *RIVALS, *PUBLISHED)
+    rows = sorted(
+        results["rows"], key=lambda row: (scenes.index(row["scene"]), order.index(row["planner"]))
+    )
+    return f"{words}\n{markdown(head, [_line(row) for row in rows])}"
+
+
+def _line(row: Row) -> list[str]:
+    name = row["planner"]
+    if name in PUBLISHED:
+        costs = cell(row["cost"], ".2f"), _cost(row["cost_where_guided_solves"])
+        begin = [row["scene"], label(name), str(row["num_problems"])]
+        return [*begin, *["-"] * 4, *costs, *["-"] * 4]
+    shares = (row["success_of_all"], row["success"], row["certified"])
+    return [
+        row["scene"],
+        label(name),
+        str(row["num_problems"]),
+        str(row["num_accepted"]),
+        *("-" if share is None else f"{100 * share:.1f}" for share in shares),
+        cell(row["cost"], ".2f"),
+        _cost(row["both"]["cost"]),
+        cell(row["configuration_checks"], ".0f", key="median"),
+        *(cell(row["total_time_s"], ".1f", 1e3, key) for key in ("median", "p95")),
+        f"{row['per_s']:.1f}",
+    ]
+
+
+def _cost(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
