@@ -245,6 +245,8 @@ POSE = {"position": [0, 0, 0], "orientation": [0, 0, 0, 1]}
         (put("world", "octomap", {"octomap": {"data": [0, 1]}}), "holds an octomap"),
         (put("world", "collision_objects", 3), "collision_objects = 3; give a list"),
         (put("world", "voxels", 3), r"world of .* has \['voxels'\]"),
+        (put("world", dict.pop), "has no world; give what stands there"),
+        (put(*FIRST, "primitive_poses", 0, "position", [0, 1e39, 0]), "3 finite numbers"),
         (put("is_diff", True), "is a difference to another"),
         (put("link_padding", [{"link_name": "hand", "padding": 0.01}]), "link_padding 0.01"),
         (put("link_scale", [{"link_name": "hand", "scale": 1.0}]), None),

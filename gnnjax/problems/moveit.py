@@ -18,10 +18,8 @@ from gnnjax.scene.pose import IDENTITY
 
 _LOG = logging.getLogger(__name__)
 
-# Of a request, what says which problem it is; what binds the path on its way, which no planner here
-# heeds; and what says how to plan.
+# Of a request, what says which problem it is, and what says how to plan.
 _PROBLEM = ["start_state", "goal_constraints"]
-_ON_THE_WAY = ["path_constraints", "trajectory_constraints"]
 _HOW = (
     "workspace_parameters reference_trajectories pipeline_id planner_id group_name "
     "num_planning_attempts allowed_planning_time max_velocity_scaling_factor "
@@ -31,6 +29,7 @@ _HOW = (
 _CONSTRAINTS = (
     "name joint_constraints position_constraints orientation_constraints visibility_constraints"
 ).split()
+_ON_THE_WAY = {"path_constraints": _CONSTRAINTS, "trajectory_constraints": ["constraints"]}
 _JOINT_CONSTRAINT = "joint_name position tolerance_above tolerance_below weight".split()
 _SAME = 1e-6  # m or rad, up to which two files agree
 
@@ -61,8 +60,9 @@ def problem_from_moveit(
     """
     called = f"request {str(request_path)!r}"
     message = read_message(request_path, "request", [*_PROBLEM, *_ON_THE_WAY, *_HOW])
-    for name in _ON_THE_WAY:
-        if _says_anything(message.get(name)):
+    for name, known in _ON_THE_WAY.items():
+        constraints = fields_of(message.get(name), known, f"{name} of {called}")
+        if any(value for key, value in constraints.items() if key != "name"):
             raise InputError(
                 f"{called} has {name}, which no planner here heeds; remove them to plan without"
             )
@@ -87,13 +87,6 @@ def problem_from_moveit(
         _configuration(mapping, goal, f"goal of {called}"),
         scene,
     )
-
-
-def _says_anything(value: Any) -> bool:
-    """Whether there is more in a message than empty lists, names and headers."""
-    if isinstance(value, dict):
-        return any(_says_anything(x) for key, x in value.items() if key not in ("name", "header"))
-    return bool(value)
 
 
 def _start(message: dict[str, Any], called: str) -> dict[str, float]:

@@ -76,9 +76,10 @@ def numbers(value: Any, width: int | None, called: str) -> np.ndarray:
     """A list of finite numbers, `width` of them unless that is None."""
     listed = value if isinstance(value, list) else []
     array = np.array([_number(x) for x in listed], float)
-    if (width is None or len(array) == width) and isinstance(value, list):
-        if np.isfinite(array).all():
-            return array
+    with np.errstate(over="ignore"):  # what is too large for single precision is infinite there
+        finite = np.isfinite(array.astype(np.float32)).all()
+    if finite and isinstance(value, list) and width in (None, len(array)):
+        return array
     many = "a list of" if width is None else f"a list of {width}"
     raise InputError(f"{called} = {brief(value)}; give {many} finite numbers")
 

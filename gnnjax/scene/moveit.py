@@ -87,8 +87,10 @@ def read_planning_scene(path: str | Path) -> PlanningScene:
                     f"{called} has {name} {brief(fields.get(entry))} for a link of the robot; "
                     f"robots are as their files have them, so set it to {usual}"
                 )
+    if message.get("world") is None:
+        raise InputError(f"{called} has no world; give what stands there, or collision_objects: []")
     world = fields_of(message.get("world"), ("collision_objects", "octomap"), f"world of {called}")
-    if _has_voxels(world.get("octomap")):
+    if _has_voxels(world.get("octomap"), called):
         raise InputError(
             f"{called} holds an octomap, whose voxels are not read; enclose what they show in "
             "boxes, and remove it"
@@ -100,11 +102,11 @@ def read_planning_scene(path: str | Path) -> PlanningScene:
     return PlanningScene(shapes, base_of(state, frames, called))
 
 
-def _has_voxels(value: Any) -> bool:
-    """Whether data is anywhere in an octomap (octomap_msgs/OctomapWithPose)."""
-    if isinstance(value, dict):
-        return bool(value.get("data")) or any(map(_has_voxels, value.values()))
-    return False
+def _has_voxels(value: Any, called: str) -> bool:
+    """Whether an octomap (octomap_msgs/OctomapWithPose) holds data."""
+    outer = fields_of(value, ("header", "origin", "octomap"), f"octomap of {called}")
+    known = "header binary id resolution data".split()
+    return bool(fields_of(outer.get("octomap"), known, f"octomap of {called}").get("data"))
 
 
 def _frames(message: dict, objects: list, called: str) -> dict[str, Pose]:
