@@ -5,6 +5,7 @@ problem after the other in processes of their own, each on a core of its own. Ei
 runs from the arrays of all problems to the last path: queries are checked, and paths certified.
 """
 
+import dataclasses
 import functools
 import multiprocessing
 import os
@@ -12,13 +13,12 @@ import resource
 import sys
 import time
 from concurrent.futures import Executor, ProcessPoolExecutor
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from gnnjax.arm.robot import load_robot
+from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.planning.planner import make_planner
 from gnnjax.planning.query import Plan, QueryPlanner, check_queries
@@ -26,6 +26,13 @@ from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
 
 _HANDED_OUT = 8  # problems that a process is given at a time
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class HeldCase(EvaluateConfig):
+    """A case of an arm some of whose joints are held."""
+
+    hold: tuple[tuple[str, float], ...] = ()  # rad or m, by name
 
 
 class Answer(NamedTuple):
@@ -88,7 +95,7 @@ def in_processes(workers: Executor, case: EvaluateConfig, rows: np.ndarray) -> T
 def answer_one(case: EvaluateConfig, row: int) -> tuple[Answer, float]:
     """Answers one problem of a set, in a process that keeps planner and set; and the CPU time."""
     begin = time.process_time()
-    one = jax.tree.map(lambda x: x[row : row + 1], read_problems(case.robot, case.problems))
+    one = jax.tree.map(lambda x: x[row : row + 1], problems_of(case))
     found = answer(planner_of(case), one, case.seed)[0]
     return found, time.process_time() - begin
 
@@ -96,13 +103,18 @@ def answer_one(case: EvaluateConfig, row: int) -> tuple[Answer, float]:
 @functools.cache
 def planner_of(case: EvaluateConfig) -> QueryPlanner:
     """The planner of a case."""
-    return make_planner(load_robot(case.robot), case)
+    return make_planner(robot_of(case), case)
+
+
+def robot_of(case: EvaluateConfig) -> Robot:
+    """The arm of a case."""
+    return load_robot(case.robot, hold=dict(case.hold) if isinstance(case, HeldCase) else None)
 
 
 @functools.cache
-def read_problems(robot: str, path: Path) -> Problem:
-    """All problems of a set."""
-    return load_problems(path, load_robot(robot)).problems
+def problems_of(case: EvaluateConfig) -> Problem:
+    """All problems of a case's set."""
+    return load_problems(case.problems, robot_of(case)).problems
 
 
 def start_workers(num: int) -> Executor:
@@ -130,7 +142,7 @@ def peak_memory(case: EvaluateConfig, num: int) -> float:
 
 
 def _peak_memory(case: EvaluateConfig, num: int) -> float:
-    problems = jax.tree.map(lambda x: x[:num], read_problems(case.robot, case.problems))
+    problems = jax.tree.map(lambda x: x[:num], problems_of(case))
     planner = planner_of(case)
     planner.warm_up(jax.tree.map(lambda x: x[0], problems.scene), num)
     answer(planner, problems, case.seed)

@@ -31,10 +31,11 @@ import numpy as np
 from experiments.by_scene import ALL, OWN, PUBLISHED, RIVALS, draw, of_planner, table
 from experiments.cases import classical_case
 from experiments.contenders import (
+    HeldCase,
     in_pools,
     in_processes,
     planner_of,
-    read_problems,
+    problems_of,
     start_workers,
 )
 from experiments.measure import ExperimentConfig, MissingProblems, problem_set
@@ -61,6 +62,8 @@ class MotionBenchMakerConfig(ExperimentConfig):
     """The problem set; by default data/ROBOT_motion_bench_maker.npz."""
     num_problems: int | None = None
     """Only the first so many problems of each scene."""
+    hold: tuple[tuple[str, float], ...] = ()
+    """Joints that are held, and where, rad or m: finger_joint1 0.04 finger_joint2 0.04."""
     time_limit: float = 1.0
     """Seconds after which OMPL's planners give a problem up."""
     processes: int = 2
@@ -73,10 +76,11 @@ def measurement(config: MotionBenchMakerConfig) -> Measurement:
         raise InputError("processes and num_problems must be at least 1")
     robot = config.robot or "franka_panda"
     path = _problems(config, robot)
-    problems = load_problems(path, load_robot(robot))
+    problems = load_problems(path, load_robot(robot, hold=dict(config.hold)))
     rows = _rows_by_scene(problems, path, config.num_problems)
     settings = {
         "robot": Path(robot).stem,
+        "hold": dict(config.hold),
         "set": path.stem,
         "problems": {scene: len(chosen) for scene, chosen in rows.items()},
         "time_limit": config.time_limit,
@@ -91,7 +95,9 @@ def measurement(config: MotionBenchMakerConfig) -> Measurement:
     def case(planner: str) -> EvaluateConfig:
         limit = np.inf if planner == OWN else config.time_limit
         made = classical_case(path, robot, planner)
-        return dataclasses.replace(made, time_limit=limit, seed=config.seeds[0])
+        options = {f.name: getattr(made, f.name) for f in dataclasses.fields(made)}
+        options |= {"time_limit": limit, "seed": config.seeds[0]}
+        return HeldCase(**options, hold=config.hold)
 
     return Measurement(_rows(config, case, rows, told, folder), {"settings": settings})
 
@@ -106,7 +112,8 @@ def _problems(config: MotionBenchMakerConfig, robot: str) -> Path:
     if config.folder is not None:
         if not config.folder.is_dir():
             raise InputError(f"no folder {str(config.folder)!r}; check the path")
-        save_problems(path, problems_of_folder(config.folder, load_robot(robot)))
+        held = load_robot(robot, hold=dict(config.hold))
+        save_problems(path, problems_of_folder(config.folder, held))
     if path.exists():
         return path
     if config.quick:
@@ -168,7 +175,7 @@ def _plan(workers: Executor, case: EvaluateConfig, chosen: np.ndarray) -> list[C
     if case.is_classical:
         in_processes(workers, case, chosen)  # compiles
         return [summarize_turn(in_processes(workers, case, chosen))]
-    everything, planner = read_problems(case.robot, case.problems), planner_of(case)
+    everything, planner = problems_of(case), planner_of(case)
     own = jax.tree.map(lambda x: x[chosen], everything)
     found = []
     for pool in (1, len(chosen)):

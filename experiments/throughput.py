@@ -41,7 +41,7 @@ from experiments.contenders import (
     in_processes,
     peak_memory,
     planner_of,
-    read_problems,
+    problems_of,
     start_workers,
 )
 from experiments.measure import ExperimentConfig
@@ -165,7 +165,7 @@ def _rows(
     folder: Path,
 ) -> Iterator[Row]:
     pools, guided = settings["pools"], case("guided")
-    problems = read_problems(guided.robot, guided.problems)
+    problems = problems_of(guided)
     chosen = np.arange(settings["num_problems"])
     with start_workers(config.processes) as workers:
 

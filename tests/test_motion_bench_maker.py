@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tyro
 import yaml
 
 from experiments import contenders, motion_bench_maker, run_all
@@ -153,6 +154,27 @@ def test_scenes_are_planned_kept_and_summed_up(published, tiny_path, tmp_path, p
     # Other settings are planned anew.
     run(EXPERIMENT, dataclasses.replace(config, num_problems=1))
     assert planners.keys() == {"guided", "ompl:rrt_connect", "ompl:bit_star", RIVALS[1]}
+
+
+def test_joints_may_be_held(published, tiny_path, tmp_path):
+    for path in published.rglob("*request*.yaml"):  # whose goal holds c, too
+        text = path.read_text().replace("position: 1.0", "position: 0.25")
+        path.write_text(text)
+    options = tyro.cli(MotionBenchMakerConfig, args=["--hold", "c", "0.25"])
+    assert options.hold == (("c", 0.25),)
+    config = dataclasses.replace(
+        options, robot=str(tiny_path), folder=published, data=tmp_path, runs=tmp_path / "runs"
+    )
+    _, head = motion_bench_maker.measurement(config)
+    assert head["settings"]["hold"] == {"c": 0.25}
+    case = contenders.HeldCase(
+        robot=str(tiny_path),
+        hold=config.hold,
+        json=tmp_path / "x",
+        problems=tmp_path / f"{tiny_path.stem}_motion_bench_maker.npz",
+    )
+    assert contenders.robot_of(case).num_dof == 2
+    assert contenders.problems_of(case).start.shape == (5, 2)
 
 
 def test_costs_are_compared_on_what_both_solve():

@@ -372,6 +372,26 @@ def test_names_may_be_given(tmp_path, tiny_path, request_message):
         problem_of(tmp_path, robot, text, names={"a": "b"})
 
 
+def test_joints_that_are_held_must_be_held_there(tmp_path, tiny_path, caplog, request_message):
+    """The start is a matter for a note, a goal cannot be reached."""
+    for held, value in ((-0.3, "0.3"), (0.3, None)):
+        robot = load_robot(tiny_path, hold={"c": held})
+        if value is None:
+            with pytest.raises(InputError, match=r"wants c at -0.3 in .*tiny holds at 0.3; load"):
+                problem_of(tmp_path, robot, request_message)
+            continue
+        caplog.clear()
+        problem = problem_of(tmp_path, robot, request_message)
+        np.testing.assert_allclose(problem.start, [0.1, 0.2], rtol=1e-6)
+        np.testing.assert_allclose(problem.goal, [-0.1, -0.2], rtol=1e-6)
+        expected = f"requests have c at {value}, which tiny holds at -0.3; load_robot(hold=...)"
+        assert [r.message for r in caplog.records if expected in r.message]
+    goal = request_message["goal_constraints"][0]["joint_constraints"]
+    goal.append({"joint_name": "wing", "position": 1.0})
+    with pytest.raises(InputError, match="wants wing at 1 in its goal, which tiny does not have"):
+        problem_of(tmp_path, load_robot(tiny_path), request_message)
+
+
 GOAL = ("goal_constraints", 0)
 
 

@@ -80,6 +80,13 @@ def problem_from_moveit(
     goal = _goal(message, called)
     start = _start(message, called)
     mapping = _matched(robot, list(goal), names or {}, called)
+    for name in goal.keys() - set(mapping.values()):
+        if abs(robot.held.get(name, np.inf) - goal[name]) > _SAME:
+            at = f"holds at {robot.held[name]:g}" if name in robot.held else "does not have"
+            raise InputError(
+                f"{called} wants {name} at {goal[name]:g} in its goal, which {robot.name} {at}; "
+                "load the robot with that joint, or remove the constraint"
+            )
     _note_others(robot, start, set(mapping.values()))
     scene = scene_of(found._replace(base=found.base or base), f"planning scene {str(scene_path)!r}")
     return Problem(
@@ -135,10 +142,9 @@ def _matched(
     robot: Robot, others: Sequence[str], names: Mapping[str, str], called: str
 ) -> dict[str, str]:
     """The request's name of each of the robot's joints, in the order of a configuration."""
-    model = robot.mj_model
-    own = [model.joint(j).name for j in range(model.njnt)]
+    own = robot.joint_names
     if unknown := sorted(names.keys() - set(own)):
-        raise InputError(f"names has {unknown}, and the joints of {robot.name} are {own}")
+        raise InputError(f"names has {unknown}, and the joints of {robot.name} are {list(own)}")
     found = {}
     for joint in own:
         exact = names.get(joint, joint)
@@ -169,11 +175,12 @@ def _end_alike(one: str, other: str) -> bool:
 
 def _note_others(robot: Robot, start: dict[str, float], planned: set[str]) -> None:
     """Notes where joints are that the robot does not plan for, unless it holds them there."""
-    held: Mapping[str, float] = getattr(robot, "held", {})
     for name, value in start.items():
-        if name in planned or abs(held.get(name, np.inf) - value) <= _SAME:
+        if name in planned or abs(robot.held.get(name, np.inf) - value) <= _SAME:
             continue
-        where = f"holds at {held[name]:g}" if name in held else "does not have as a joint"
+        where = "does not have as a joint"
+        if name in robot.held:
+            where = f"holds at {robot.held[name]:g}; load_robot(hold=...) can have it there, too"
         _note(f"requests have {name} at {value:g}, which {robot.name} {where}")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from gnnjax.arm.mjcf import without_warnings
+from gnnjax.arm.mjcf import collision_geoms, without_warnings
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved
@@ -74,7 +74,7 @@ def scene_from_mjcf(
     carried = _subtrees(model, of_robot & moving) - of_robot
     to_base = inverse(base)
     shapes = []
-    for g in np.flatnonzero(_collides(model)).tolist():
+    for g in collision_geoms(model).tolist():
         body = int(model.geom_bodyid[g])
         if body in ignored or body in of_robot or _named(model.geom(g).name, ignore):
             continue
@@ -186,18 +186,11 @@ def _base(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData, called: str)
 def _fixed_geoms(model: mujoco.MjModel) -> list[tuple[int, np.ndarray, Pose]]:
     """Kind, sizes and pose of what a robot's own file has in its world, where no body names it. A
     plane is no part of a robot."""
-    own = _collides(model) & (model.geom_bodyid == 0) & (model.geom_type != _PLANE)
     return [
         (int(model.geom_type[g]), model.geom_size[g], Pose(model.geom_pos[g], model.geom_quat[g]))
-        for g in np.flatnonzero(own)
+        for g in collision_geoms(model)
+        if model.geom_bodyid[g] == 0 and model.geom_type[g] != _PLANE
     ]
-
-
-def _collides(model: mujoco.MjModel) -> np.ndarray:
-    """Which geoms collide, `[G]`; the others are for the eye."""
-    found = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    found[model.pair_geom1] = found[model.pair_geom2] = True
-    return found
 
 
 def _is_same(
