@@ -215,3 +215,16 @@ def test_other_formats_need_trimesh_and_that_is_said(tmp_path, monkeypatch):
 def test_no_file_of_that_name(tmp_path):
     with pytest.raises(InputError, match=r"no URDF file at .*; check the path"):
         load_robot(tmp_path / "arm.urdf")
+
+
+def test_links_without_collision_geometry_collide_as_they_look(tmp_path, caplog):
+    text = ARM.replace("collision>", "visual>").replace("package://nowhere/base.dae", "MESH")
+    robot = load_robot(package(tmp_path, text=text))
+    assert len(robot.parts) == 6
+    assert "what they look like is taken for it" in caplog.text
+
+
+def test_an_inertia_that_no_body_can_have_is_no_obstacle(tmp_path):
+    text = ARM.replace('izz="0.01" ixy="0"', 'izz="0.01" ixy="0.5"')
+    robot = load_robot(package(tmp_path, text=text))
+    np.testing.assert_allclose(robot.mj_model.body("upper").inertia, 0.01)
