@@ -42,12 +42,12 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
         InputError: the file lacks what planning needs, or `joints` and `hold` do not fit it.
         ValueError: MuJoCo cannot read or compile it.
     """
-    velocities: dict[str, float] = {}
+    velocities, said = {}, []
     if path.suffix == ".urdf":
-        spec, velocities = read_urdf(path)
+        spec, velocities, said = read_urdf(path)
     else:
         spec = mujoco.MjSpec.from_file(str(path))
-    model, notes = spec.compile(), []
+    model, notes = spec.compile(), said
     check_numbers(model, path)
     choice = choose_joints(model, path, joints, hold)
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")

@@ -29,8 +29,9 @@ _COMPILER = {
 }
 
 
-def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, float]]:
-    """Reads a URDF, and the velocity limits of its joints by name, in rad/s or m/s.
+def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, float], list[str]]:
+    """Reads a URDF, the velocity limits of its joints by name, in rad/s or m/s, and what there is
+    to be said about it.
 
     Raises:
         InputError: it is no URDF, or a mesh is missing or cannot be read.
@@ -42,7 +43,7 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, float]]:
         raise InputError(f"{str(path)!r} is no XML: {error}; check the file") from None
     if root.tag != "robot":
         raise InputError(f"{str(path)!r} begins with <{root.tag}>; a URDF begins with <robot>")
-    if any("xacro" in str(element.tag) for element in root.iter()):
+    if b"<xacro:" in path.read_bytes():
         raise InputError(
             f"{str(path)!r} holds xacro macros; expand them first (xacro FILE.xacro > FILE.urdf)"
         )
@@ -53,9 +54,17 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, float]]:
     ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", _COMPILER)
     assets: dict[str, bytes] = {}
     names: dict[tuple[Path, str], str] = {}
+    notes = []
+    bare = not any(link.find("collision") is not None for link in root.findall("link"))
+    if bare and root.find("link/visual") is not None:
+        notes.append("no link has collision geometry; what they look like is taken for it")
     for link in root.findall("link"):
+        _mend_inertia(link)
         for visual in link.findall("visual"):
-            link.remove(visual)
+            if bare:
+                visual.tag = "collision"
+            else:
+                link.remove(visual)
         for mesh in link.iter("mesh"):
             file = _find(mesh.get("filename", ""), folders, path)
             scale = mesh.get("scale", "1 1 1")
@@ -71,7 +80,23 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, float]]:
             if limit is not None and 0 < float(limit.get("velocity", "0")) < np.inf:
                 velocities[joint.get("name", "")] = float(limit.get("velocity", "0"))
     text = ET.tostring(root, encoding="unicode")
-    return mujoco.MjSpec.from_string(text, assets=assets), velocities
+    return mujoco.MjSpec.from_string(text, assets=assets), velocities, notes
+
+
+def _mend_inertia(link: ET.Element) -> None:
+    """Makes an inertia that no body can have, which MuJoCo refuses, one of a ball."""
+    inertia = link.find("inertial/inertia")
+    if inertia is None:
+        return
+    try:
+        xx, yy, zz, xy, xz, yz = (
+            float(inertia.get(name, "0")) for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        )
+    except ValueError:  # no number: MuJoCo says so
+        return
+    if np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).min() <= 0:
+        mean = f"{max((xx + yy + zz) / 3, 1e-6):.6g}"
+        inertia.attrib = {"ixx": mean, "iyy": mean, "izz": mean, "ixy": "0", "ixz": "0", "iyz": "0"}
 
 
 def _find(name: str, folders: list[Path], urdf: Path) -> Path:
