@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gnnjax.arm.robot import CAPSULE, Joint, Robot
+from gnnjax.collision.hulls import Hulls
 from gnnjax.collision.obstacles import sum_of_squares
 from gnnjax.errors import InputError
 
@@ -21,6 +22,8 @@ class Rates(NamedTuple):
     pairs: np.ndarray  # [P E] of the distance between two spheres
     links: np.ndarray  # [L E] of any sphere of a link
     link_pairs: np.ndarray  # [Q E] of the distance of any two
+    parts: np.ndarray  # [T E] of any point of a part
+    part_pairs: np.ndarray  # [U E] of the distance of any two points of two parts
 
 
 class Spheres:
@@ -31,6 +34,7 @@ class Spheres:
             raise InputError(f"geoms of {robot.name} have radii that are not positive; mend them")
         self.robot = robot
         owner, bodies, centers, radii = [], [], [], []
+        parts = [part.body for part in robot.parts]
         # Spheres of one body lie side by side: they are a link.
         for g in np.argsort(robot.geom_bodies, kind="stable"):
             radius, steps = robot.geom_radii[g], np.zeros(1)
@@ -46,7 +50,9 @@ class Spheres:
                 radii.append(radius)
         self.bodies, self.centers = np.array(bodies), np.array(centers).T
         self.radii = np.array(radii)
-        self.reach = np.array([self._reach(b, c) for b, c in zip(bodies, centers, strict=True)])
+        self.reach = np.array(
+            [self._reach(b, c[None])[0] for b, c in zip(bodies, centers, strict=True)]
+        )
         axes = np.zeros((robot.num_dof, 3))
         for joint in (joint for body in robot.bodies for joint in body.joints):
             axes[joint.index] = joint.axis
@@ -54,6 +60,12 @@ class Spheres:
         self.crosses = np.cross(np.eye(3), axes[:, None])
         self._find_links()
         owner = np.array(owner)
+        self.part = robot.geom_parts[owner]
+        # How much farther away than a sphere its part may be: no farther than a ball in the part.
+        inner = robot.geom_inner_radii[owner]
+        self.slack = np.where(inner > 0, self.radii - inner, np.inf)
+        self.part_links = np.searchsorted(self.links, parts)
+        self._reach_of_parts()
         pairs = [
             (i, j)
             for a, b in robot.self_pairs
@@ -88,6 +100,26 @@ class Spheres:
         shared = self.upstream[self.link_of[first]] & self.upstream[self.link_of[second]]
         self.pair_reach = np.where(shared, 0.0, self.reach[first] + self.reach[second])
 
+    @functools.cached_property
+    def hulls(self) -> Hulls:
+        """Of the parts; made when spheres leave something open for the first time."""
+        return Hulls(self.robot)
+
+    def _reach_of_parts(self) -> None:
+        """Of any of a part's points: of the vertices, since reach is convex; balls turn about
+        them."""
+        robot = self.robot
+        self.part_reach = np.array(
+            [self._reach(part.body, part.vertices).max(axis=0) for part in robot.parts]
+        )
+        first, second = robot.part_pairs.T
+        upstream = self.upstream[self.part_links]
+        shared = upstream[first] & upstream[second]
+        both = self.part_reach[first] + self.part_reach[second]
+        self.part_pair_reach = np.where(shared, 0.0, both)
+        self.part_pair = np.full((len(robot.parts),) * 2, -1)  # which of `part_pairs` two parts are
+        self.part_pair[first, second] = self.part_pair[second, first] = np.arange(len(first))
+
     def _upstream(self) -> np.ndarray:
         """`[bodies + 1, D]`: which joints move a body; the last row is the world's."""
         upstream = np.zeros((len(self.robot.bodies) + 1, self.robot.num_dof), bool)
@@ -96,36 +128,37 @@ class Spheres:
             upstream[b, [joint.index for joint in body.joints]] = True
         return upstream
 
-    def _reach(self, body: int, center: np.ndarray) -> np.ndarray:
-        """`[D]` bounds on how far a point of a body moves a unit of each joint, m/rad or m/m.
+    def _reach(self, body: int, points: np.ndarray) -> np.ndarray:
+        """`[N, D]` bounds on how far points `[N, 3]` of a body move a unit of each joint, m/rad or
+        m/m.
 
         A point turns about a joint's axis on a circle at most as large as the sum of the links
         between them; the part along the axis does not count for the link next to it.
         """
-        reach = np.zeros(self.robot.num_dof)
-        offset, beyond = np.asarray(center, float), 0.0
+        reach = np.zeros((len(points), self.robot.num_dof))
+        offset, beyond = np.asarray(points, float), np.zeros(len(points))
         while body >= 0:
             link = self.robot.bodies[body]
             # Several joints of one body move each other's anchors: then nothing is left out.
             several = len(link.joints) > 1
             for joint in link.joints:
                 if not joint.hinge:
-                    reach[joint.index] = 1.0
+                    reach[:, joint.index] = 1.0
                     continue
                 arm = offset - joint.anchor
-                radial = np.linalg.norm(arm if several else np.cross(joint.axis, arm))
+                radial = np.linalg.norm(arm if several else np.cross(joint.axis, arm), axis=1)
                 if several:
-                    radial += sum(
+                    radial = radial + sum(
                         2 * np.linalg.norm(other.anchor - joint.anchor)
                         + (0 if other.hinge else self._travel(other))
                         for other in link.joints
                     )
-                reach[joint.index] = radial + beyond
-            beyond += np.linalg.norm(offset)
+                reach[:, joint.index] = radial + beyond
+            beyond = beyond + np.linalg.norm(offset, axis=1)
             for joint in link.joints:
                 turned = 2 * np.linalg.norm(joint.anchor)
-                beyond += turned if joint.hinge else self._travel(joint)
-            offset, body = link.position, link.parent
+                beyond = beyond + (turned if joint.hinge else self._travel(joint))
+            offset, body = np.tile(link.position, (len(points), 1)), link.parent
         return reach
 
     def _travel(self, joint: Joint) -> float:
@@ -135,18 +168,23 @@ class Spheres:
 
     def rates(self, change: np.ndarray) -> Rates:
         """Bounds for motions by up to `change` `[D, E]` of each joint."""
-        spheres, pairs = (
-            np.zeros((len(reach), change.shape[1])) for reach in (self.reach, self.pair_reach)
+        spheres, pairs, parts, part_pairs = (
+            np.zeros((len(reach), change.shape[1])) for reach in self._reaches()
         )
-        for j, by in enumerate(change):
-            spheres += self.reach[:, j, None] * by
-            pairs += self.pair_reach[:, j, None] * by
+        for total, reach in zip((spheres, pairs, parts, part_pairs), self._reaches(), strict=True):
+            for j, by in enumerate(change):
+                total += reach[:, j, None] * by
         links = np.maximum.reduceat(spheres, self.first, axis=0)
-        return Rates(spheres, pairs, links, np.maximum.reduceat(pairs, self.pair_first, axis=0))
+        link_pairs = np.maximum.reduceat(pairs, self.pair_first, axis=0)
+        return Rates(spheres, pairs, links, link_pairs, parts, part_pairs)
+
+    def _reaches(self) -> tuple[np.ndarray, ...]:
+        return self.reach, self.pair_reach, self.part_reach, self.part_pair_reach
 
     def same_rates(self, meters: float) -> Rates:
         """Of one motion, by which anything may move as far as anything else."""
         sizes = len(self.radii), len(self.pairs), len(self.links), len(self.pair_first)
+        sizes = *sizes, len(self.part_reach), len(self.part_pair_reach)
         return Rates(*(np.full((size, 1), meters) for size in sizes))
 
 

@@ -106,7 +106,7 @@ def _certify_block(
         # The largest share of a gap that the motion can use up: below 1 nothing is touched.
         need = np.zeros(len(of))
         np.maximum.at(need, found.moment, found.motion / np.maximum(found.gap, 1e-12))
-        certified[of[found.moment[~(found.gap > 0)]]] = False
+        certified[of[found.moment[found.touching]]] = False
         certified[of[(need >= 1) & ((far - near) * lengths[of] < _SHORTEST_PIECE)]] = False
         split = (need >= 1) & certified[of]
         # As many parts as would do if the clearance were the same all along.

@@ -5,6 +5,7 @@ kernels. Arrays have their components first and what they are computed for last,
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -27,11 +28,12 @@ class Moments(NamedTuple):
 
 
 class Gaps(NamedTuple):
-    """Whatever may touch: N pairs of a sphere and an obstacle, or of two spheres."""
+    """Whatever may touch: N pairs of a sphere or part and an obstacle, or of two of these."""
 
     moment: np.ndarray  # [N] at which of the moments
-    gap: np.ndarray  # [N] m between their surfaces; negative in collision
+    gap: np.ndarray  # [N] m between their surfaces, at least
     motion: np.ndarray  # [N] m, that the gap may shrink by, at most
+    touching: np.ndarray  # [N] that there is a contact, for sure
 
 
 def gaps_of(body: Spheres, obstacles: Obstacles, at: Moments, rates: Rates) -> Gaps:
@@ -41,6 +43,9 @@ def gaps_of(body: Spheres, obstacles: Obstacles, at: Moments, rates: Rates) -> G
     least that of the ball around all spheres of its link to the obstacle, and this at least that
     to a ball around the obstacle; none of the link's spheres moves more than the one that moves
     most. Likewise for two links. Comparisons are written so that what is not a number stays.
+
+    Where spheres leave it open whether a gap is used up, and the part that they enclose may be
+    farther away than they are, the part itself is looked at (`hulls.py`).
 
     Links that no joint moves are not compared with obstacles: no configuration changes the
     outcome, see `clear_of_base`.
@@ -80,8 +85,20 @@ def _gaps_to(
     link, thing, moment = link[row], thing[row], moment[row]
     points = _place(_pick(frames, link, moment), body.centers[:, sphere])
     apart = obstacles.distances(points, thing, at.scene[moment])
+    gap = apart - body.radii[sphere]
     motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
-    return Gaps(moment, apart - body.radii[sphere], motion)
+    part = body.part[sphere]
+
+    def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
+        found = part[rows], _pick(frames, body.part_links[part[rows]], moment[rows])
+        return body.hulls.from_obstacles(
+            *found, obstacles, thing[rows], at.scene[moment[rows]], margin
+        )
+
+    most = gap + body.slack[sphere]
+    of_part = _pick(rates.parts, part, at.motion[moment]) * at.share[moment] + _ROUNDING
+    key = (moment * len(body.part_reach) + part) * len(obstacles.exists) + thing
+    return _looked_at_closely(moment, gap, motion, most, of_part, key, ask)
 
 
 def _gaps_within(
@@ -100,7 +117,59 @@ def _gaps_within(
     )
     gap = np.sqrt(between) - body.radii[first] - body.radii[second]
     motion = _pick(rates.pairs, pair, at.motion[moment]) * at.share[moment] + _ROUNDING
-    return Gaps(moment, gap, motion)
+    part, other = body.part[first], body.part[second]
+
+    def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
+        both = (
+            (x[rows], _pick(frames, body.part_links[x[rows]], moment[rows])) for x in (part, other)
+        )
+        return body.hulls.from_parts(*next(both), *next(both), margin)
+
+    number = body.part_pair[part, other]
+    most = gap + body.slack[first] + body.slack[second]
+    of_parts = _pick(rates.part_pairs, number, at.motion[moment]) * at.share[moment] + _ROUNDING
+    key = moment * max(1, len(body.part_pair_reach)) + number
+    return _looked_at_closely(moment, gap, motion, most, of_parts, key, ask)
+
+
+def _looked_at_closely(
+    moment: np.ndarray,
+    gap: np.ndarray,
+    motion: np.ndarray,
+    most: np.ndarray,
+    part_motion: np.ndarray,
+    key: np.ndarray,
+    ask: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> Gaps:
+    """The gaps `[N]` of spheres, but of parts where these may show what spheres leave open.
+
+    Args:
+        moment: at which of the moments.
+        gap: of spheres, m.
+        motion: that it may shrink by, m.
+        most: that the gap of the parts can be, m.
+        part_motion: that this may shrink by, m.
+        key: the same for rows of the same moment and parts.
+        ask: gaps of the parts of rows, as far as a margin is concerned.
+    """
+    spheres = Gaps(moment, gap, motion, ~(most > 0))
+    open_rows = np.flatnonzero(~(gap > motion))
+    if not (most[open_rows] > gap[open_rows]).any():
+        return spheres
+    _, first, group = np.unique(key[open_rows], return_index=True, return_inverse=True)
+    reach = np.full(len(first), np.inf)
+    np.minimum.at(reach, group, most[open_rows])
+    wanted = reach > part_motion[open_rows[first]]
+    rows = open_rows[first[wanted]]
+    if not len(rows):
+        return spheres
+    left = np.ones(len(gap), bool)
+    left[open_rows[wanted[group]]] = False
+    found = Gaps(
+        moment[rows], ask(rows, part_motion[rows]), part_motion[rows], np.zeros(len(rows), bool)
+    )
+    kept = (x[left] for x in spheres)
+    return Gaps(*(np.concatenate(two) for two in zip(kept, found, strict=True)))
 
 
 def clear_of_base(body: Spheres, obstacles: Obstacles) -> np.ndarray:

@@ -56,6 +56,14 @@ class Obstacles:
         beside = np.maximum(np.sqrt(sum_of_squares(outside[:2])) - disc, 0)
         return np.sqrt(beside * beside + outside[2] * outside[2]) - ball
 
+    def sums(
+        self, number: np.ndarray, scene: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Centers `[3, N]`, axes `[3, 3, N]` (the first is x), half extents `[3, N]`, and radii
+        `[N]` of discs and balls."""
+        table = self._table.take(number * self.exists.shape[1] + scene, axis=1)
+        return table[:3], table[6:15].reshape(3, 3, -1), table[3:6], table[15], table[16]
+
 
 def obstacles_of(scenes: Scene) -> Obstacles:
     """The existing obstacles of one scene or of P scenes, or what is wrong with them."""

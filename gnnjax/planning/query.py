@@ -11,7 +11,8 @@ from gnnjax.collision.certify import base_clear, check_scene, clearances
 from gnnjax.collision.obstacles import scene_faults
 from gnnjax.errors import InputError, one_line
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.mujoco_world import deepest_contact
+from gnnjax.scene.scene import Scene, obstacle_name
 
 
 class Plan(NamedTuple):
@@ -107,8 +108,8 @@ def check_queries(robot: Robot, problems: Problem) -> list[str | None]:
     clearance = clearances(robot, scenes, ends, owner, most=0.0).reshape(2, -1)
     found = [
         _base_reasons(robot, scenes),
-        _end_reasons(robot, "start", starts[rows], clearance[0]),
-        _end_reasons(robot, "goal", goals[rows], clearance[1]),
+        _end_reasons(robot, "start", scenes, starts[rows], clearance[0]),
+        _end_reasons(robot, "goal", scenes, goals[rows], clearance[1]),
     ]
     for row, *why in zip(rows, *found, strict=True):
         reasons[row] = next(filter(None, why), None)
@@ -116,33 +117,50 @@ def check_queries(robot: Robot, problems: Problem) -> list[str | None]:
 
 
 def _base_reasons(robot: Robot, scenes: Scene) -> list[str | None]:
-    """Which box stands in the base, for each of P scenes."""
-    clear = base_clear(robot, scenes)
-    return [
-        None
-        if row.all()
-        else f"box {row.argmin()} of the scene touches the base of {robot.name}; move it away"
-        for row in clear
-    ]
+    """Which obstacle stands in the base, for each of P scenes."""
+    reasons: list[str | None] = []
+    for i, row in enumerate(base_clear(robot, scenes)):
+        reason = None
+        if not row.all():
+            name = obstacle_name(jax.tree.map(lambda x, i=i: x[i], scenes), int(row.argmin()))
+            reason = f"{name} of the scene touches the base of {robot.name}; move it away"
+        reasons.append(reason)
+    return reasons
 
 
-def _end_reasons(robot: Robot, name: str, q: np.ndarray, clearance: np.ndarray) -> list[str | None]:
+def _end_reasons(
+    robot: Robot, name: str, scenes: Scene, q: np.ndarray, clearance: np.ndarray
+) -> list[str | None]:
     """What is wrong with configurations `[P, D]` that have so much clearance `[P]`."""
     reasons: list[str | None] = [None] * len(q)
     outside = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))
     for i in np.flatnonzero(outside.any(axis=1) | (clearance <= 0)):
         if outside[i].any():
             joint = int(outside[i].argmax())
+            value = q[i, joint]
+            # Of hinges alone: nobody gives metres in degrees.
+            degrees = _is_hinge(robot, joint) and abs(value) > 2 * np.pi
             reasons[i] = (
-                f"{name} has {q[i, joint]:.4g} for joint {joint + 1}; it must lie between "
+                f"{name} has {value:.4g} for joint {robot.joint_names[joint]}; it must lie between "
                 f"{robot.joint_lower[joint]:.4g} and {robot.joint_upper[joint]:.4g}"
+                + (" (radians; are these degrees?)" if degrees else "")
             )
             continue
+        contact = deepest_contact(robot, jax.tree.map(lambda x, i=i: x[i], scenes), q[i])
+        why = (
+            f"{contact.first} and {contact.second} overlap by {1e3 * contact.depth:.1f} mm"
+            if contact
+            else "it comes too close to a contact to tell"
+        )
         reasons[i] = (
-            f"{name} {np.round(q[i], 4).tolist()} is in collision "
-            f"({-1e3 * clearance[i]:.1f} mm deep); choose a free configuration"
+            f"{name} {np.round(q[i], 4).tolist()} is in collision: {why}; choose a free "
+            "configuration"
         )
     return reasons
+
+
+def _is_hinge(robot: Robot, joint: int) -> bool:
+    return any(j.index == joint and j.hinge for body in robot.bodies for j in body.joints)
 
 
 def _single(q: ArrayLike) -> np.ndarray:

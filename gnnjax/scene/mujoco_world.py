@@ -1,12 +1,13 @@
 """The arm and its obstacles as one MuJoCo model, for the C engine and pictures."""
 
+import functools
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import Scene, obstacle_name
 from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
 
 # Where obstacles that do not exist are put: far enough to be clear, near enough for float32.
@@ -118,3 +119,45 @@ def place_boxes(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> Non
             model.geom_aabb[geom, 3:] = around
             node = model.body_bvhadr[body]
             model.bvh_aabb[node, 3:] = around
+
+
+class Contact(NamedTuple):
+    """Two things that overlap, as messages call them."""
+
+    first: str
+    second: str
+    depth: float  # m
+
+
+def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None:
+    """What the C engine finds in collision at a configuration `[D]` of one scene."""
+    model = _cached_world(robot, len(scene.mask))
+    data = mujoco.MjData(model)
+    place_boxes(model, data, scene)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    parts, pairs = robot.part_geom_ids.tolist(), robot.part_pairs.tolist()
+    found = [
+        (depth_of(model, data, parts[a], parts[b]), robot.parts[a].name, robot.parts[b].name)
+        for a, b in pairs
+    ]
+    placed = obstacles(model, len(scene.mask)).geoms
+    moving = [number for number, g in enumerate(parts) if model.body_weldid[model.geom_bodyid[g]]]
+    for i in np.flatnonzero(scene.mask).tolist():
+        name = obstacle_name(scene, i)
+        found += [
+            (depth_of(model, data, parts[number], int(placed[i])), robot.parts[number].name, name)
+            for number in moving
+        ]
+    depth, first, second = max(found, default=(0.0, "", ""))
+    return Contact(first, second, depth) if depth > 0 else None
+
+
+def depth_of(model: mujoco.MjModel, data: mujoco.MjData, first: int, second: int) -> float:
+    """How far two geoms overlap, m; 0 or less where they do not."""
+    return -mujoco.mj_geomDistance(model, data, first, second, 1e-3, None)
+
+
+@functools.lru_cache(maxsize=8)
+def _cached_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
+    return build_world(robot, max_boxes)

@@ -1,0 +1,147 @@
+"""The arm's parts as they are, for what its spheres leave open: planes between hulls.
+
+A plane that has a part on one side and an obstacle, or another part, on the other shows that they
+are apart, and by how much, whoever found it. So planes are looked for by the planner's own code in
+single precision (`convex.py`), and what they show is computed here in double precision: the least
+height of a part's vertices above the plane, less the greatest of the other's points. Arrays have
+their components first and what they are computed for last, see `obstacles.py`.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision import convex
+from gnnjax.collision.obstacles import Obstacles, sum_of_squares
+
+_SIMPLER = 5e-4  # m; by which the hulls for which planes are looked for may stand out of the true
+_PAIRS_A_CALL = 128  # that planes are looked for at once; fixed, so that it is compiled once
+
+
+class Hulls:
+    """The parts of an arm, and planes between them and what they may touch."""
+
+    def __init__(self, robot: Robot):
+        self.radii = np.array([part.radius for part in robot.parts])
+        self.bodies = np.array([part.body for part in robot.parts])
+        most = max(len(part.vertices) for part in robot.parts)
+        self.vertices = np.stack(  # [T V 3]; those that are missing repeat the last
+            [np.pad(p.vertices, ((0, most - len(p.vertices)), (0, 0)), "edge") for p in robot.parts]
+        )
+        self._parts = _simpler(robot)
+        self._to_obstacles = jax.jit(convex.separate_obstacles)
+        self._to_parts = jax.jit(convex.separate_parts)
+
+    def from_obstacles(
+        self,
+        part: np.ndarray,
+        frames: np.ndarray,
+        obstacles: Obstacles,
+        number: np.ndarray,
+        scene: np.ndarray,
+        margin: np.ndarray,
+    ) -> np.ndarray:
+        """How far parts are from obstacles at least, `[N]` m, as far as `margin` is concerned.
+
+        Args:
+            part: `[N]` of the arm.
+            frames: `[4, 3, N]` axes and origin of each part's body.
+            obstacles: of P scenes.
+            number: `[N]` of the obstacle in its scene.
+            scene: `[N]`.
+            margin: `[N]` m; whether they are farther apart is all that is asked.
+        """
+        centers, axes, extents, disc, ball = obstacles.sums(number, scene)
+        offset = frames[3] - centers
+        position = np.stack([_dot(axis, offset) for axis in axes])
+        rotation = np.stack([[_dot(axis, column) for column in frames[:3]] for axis in axes])
+        directions = self._look(
+            lambda rows: self._to_obstacles(
+                self._parts,
+                *(_padded(x, rows) for x in (part, position, rotation)),
+                convex.Obstacles(*(_padded(x, rows) for x in (extents, disc, ball + margin))),
+                _padded(position, rows),
+            ),
+            len(part),
+        )
+        # In the world: a column of `axes` is what the obstacle's axes are there.
+        normal = _unit(sum(axis * along for axis, along in zip(axes, directions, strict=True)))
+        along = [_dot(axis, normal) for axis in axes]
+        beside = np.sqrt(along[0] * along[0] + along[1] * along[1])
+        thick = sum(np.abs(x) * h for x, h in zip(along, extents, strict=True))
+        top = _dot(normal, centers) + thick + disc * beside + ball
+        return self._lowest(part, frames, normal) - top
+
+    def from_parts(
+        self,
+        part: np.ndarray,
+        frames: np.ndarray,
+        other: np.ndarray,
+        other_frames: np.ndarray,
+        margin: np.ndarray,
+    ) -> np.ndarray:
+        """How far parts are from other parts; see `from_obstacles`."""
+        offset = frames[3] - other_frames[3]
+        position = np.stack([_dot(axis, offset) for axis in other_frames[:3]])
+        rotation = np.stack(
+            [[_dot(axis, column) for column in frames[:3]] for axis in other_frames[:3]]
+        )
+        directions = self._look(
+            lambda rows: self._to_parts(
+                self._parts,
+                *(_padded(x, rows) for x in (part, position, rotation, other, position, margin)),
+            ),
+            len(part),
+        )
+        axes = other_frames[:3]
+        normal = _unit(sum(axis * along for axis, along in zip(axes, directions, strict=True)))
+        return self._lowest(part, frames, normal) + self._lowest(other, other_frames, -normal)
+
+    def _look(self, call: Callable[[np.ndarray], convex.Separation], num: int) -> np.ndarray:
+        """Directions `[3, N]` of planes, looked for in calls of one size."""
+        found = np.zeros((3, num))
+        for first in range(0, num, _PAIRS_A_CALL):
+            rows = np.arange(first, min(first + _PAIRS_A_CALL, num))
+            found[:, rows] = np.asarray(call(rows).directions)[:, : len(rows)]
+        return found
+
+    def _lowest(self, part: np.ndarray, frames: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """The least height of parts `[N]` along normals `[3, N]`."""
+        seen = np.stack([_dot(axis, normal) for axis in frames[:3]])
+        found = np.empty(len(part))
+        for number in np.unique(part):
+            rows = np.flatnonzero(part == number)
+            heights = self.vertices[number] @ seen[:, rows]
+            found[rows] = heights.min(axis=0) - self.radii[number]
+        return found + _dot(normal, frames[3])
+
+
+def _simpler(robot: Robot) -> convex.Parts:
+    simple = [
+        (p.vertices, 0.0) if len(p.vertices) <= 8 else convex.simplify(p.vertices, _SIMPLER)
+        for p in robot.parts
+    ]
+    most = max(len(vertices) for vertices, _ in simple)
+    vertices = [np.pad(v, ((0, most - len(v)), (0, 0)), "edge") for v, _ in simple]
+    radii = [p.radius + more for p, (_, more) in zip(robot.parts, simple, strict=True)]
+    return convex.Parts(jnp.asarray(vertices, jnp.float32), jnp.asarray(radii, jnp.float32))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Of length 1; those of length 0 stay, and show nothing."""
+    lengths = np.sqrt(sum_of_squares(vectors))
+    return vectors / np.where(lengths > 0, lengths, 1)
+
+
+def _padded(array: np.ndarray, rows: np.ndarray) -> jax.Array:
+    """The last axis' `rows`, and the first of them again until the call is full."""
+    at = np.resize(rows, _PAIRS_A_CALL) if len(rows) < _PAIRS_A_CALL else rows
+    chosen = np.take(array, at, axis=-1)
+    return jnp.asarray(chosen, jnp.int32 if chosen.dtype.kind == "i" else jnp.float32)

@@ -1,0 +1,148 @@
+"""Parts as they are: what spheres leave open, against MuJoCo's C engine."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from experiments.engine import Engine
+from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import certify_edges, clearances
+from gnnjax.scene.mujoco_world import deepest_contact
+from gnnjax.scene.scene import Scene, scene_from_shapes
+from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
+
+# Links of all kinds that are no spheres, and two that can reach the first.
+ARM = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <default><geom contype="1" conaffinity="1" mass="1"/></default>
+  <asset>
+    <mesh name="wedge" vertex="0 -.04 -.05 .25 -.04 -.02 .25 .04 -.02 0 .04 -.05 0 0 .06"/>
+  </asset>
+  <worldbody>
+    <body name="foot">
+      <geom type="box" size="0.08 0.08 0.05"/>
+      <body name="mast" pos="0 0 0.06">
+        <joint axis="0 0 1" range="-3 3"/>
+        <geom type="cylinder" fromto="0 0 0 0 0 0.35" size="0.05"/>
+        <body name="boom" pos="0 0 0.4">
+          <joint axis="0 1 0" range="-2.5 2.5"/>
+          <geom type="box" pos="0.15 0 0" size="0.15 0.03 0.04"/>
+          <body name="jib" pos="0.33 0 0">
+            <joint axis="0 0 1" range="-2.8 2.8"/>
+            <geom type="mesh" mesh="wedge"/>
+            <body name="tip" pos="0.28 0 0">
+              <joint axis="0 1 0" range="-2.5 2.5"/>
+              <geom type="capsule" fromto="0.03 0 0 0.15 0 0" size="0.03"/>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def crane(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robots") / "crane.xml"
+    path.write_text(ARM)
+    return load_robot(path)
+
+
+def draw_scene(rng, num=6) -> Scene:
+    shapes = []
+    for i in range(num):
+        center, quat = rng.normal(size=3), rng.normal(size=4)
+        center *= rng.uniform(0.3, 0.8) / np.linalg.norm(center)
+        sizes = rng.uniform(0.04, 0.15, 3)
+        shapes.append(
+            (
+                box(center, sizes, quat),
+                cylinder(center, sizes[0], sizes[1], quat),
+                sphere(center, sizes[0]),
+                capsule(center, sizes[0], sizes[1], quat),
+                half_space([0, 0, -0.3], [0, 0, 1]),
+            )[i % 5]
+        )
+    return scene_from_shapes(shapes)
+
+
+def near_contact(rng, robot, scene, num):
+    """Configurations, most of them within 10 mm of a contact: halved between free and not."""
+    engine = Engine(robot, scene)
+    q = rng.uniform(robot.joint_lower, robot.joint_upper, (8 * num, robot.num_dof))
+    free = engine.valid(q)
+    near = []
+    for start, end in zip(q[free], q[~free], strict=False):
+        for _ in range(int(rng.integers(3, 9))):
+            middle = (start + end) / 2
+            start, end = (middle, end) if engine.valid(middle[None])[0] else (start, middle)
+        near += [start, end]
+    return np.array(near)[: 2 * num]
+
+
+def least_distance(robot, scene, q):
+    """m, of what may touch what, by the C engine; negative in collision."""
+    engine, found = Engine(robot, scene), np.empty(len(q))
+    model, data = engine.model, engine.data
+    parts = robot.part_geom_ids.tolist()
+    moving = [g for g in parts if model.body_weldid[model.geom_bodyid[g]]]
+    placed = range(model.ngeom - len(scene.mask), model.ngeom)
+    pairs = [(a, b) for a in moving for b, exists in zip(placed, scene.mask, strict=True) if exists]
+    pairs += [(parts[a], parts[b]) for a, b in robot.part_pairs.tolist()]
+    for row, at in enumerate(q):
+        data.qpos[:] = at
+        mujoco.mj_kinematics(model, data)
+        found[row] = min(mujoco.mj_geomDistance(model, data, *pair, 1.0, None) for pair in pairs)
+    return found
+
+
+def test_what_touches_is_refused_and_what_is_free_by_three_millimetres_is_not(crane):
+    rng = np.random.default_rng(0)
+    refused_by_spheres, num = 0, 0
+    for _ in range(4):
+        scene = draw_scene(rng)
+        q = near_contact(rng, crane, scene, 60)
+        apart = least_distance(crane, scene, q)
+        found = clearances(crane, scene, q, most=0.0)
+        assert not ((found > 0) & (apart < -1e-5)).any()
+        # Cylinders of the arm have up to half a millimetre too much.
+        assert not ((found <= 0) & (apart > 1.5e-3)).any()
+        refused_by_spheres += int(((clearances(crane, scene, q) <= 0) & (apart > 1.5e-3)).sum())
+        num += int((np.abs(apart) < 0.01).sum())
+        for at in q[apart < -1e-4][:5]:
+            assert deepest_contact(crane, scene, at).depth > 0
+    assert num > 100
+    assert refused_by_spheres > 20
+
+
+def test_edges_that_graze_are_certified_and_none_of_them_collides(crane):
+    rng, certified, by_hulls = np.random.default_rng(1), 0, 0
+    for _ in range(4):
+        scene = draw_scene(rng)
+        q = near_contact(rng, crane, scene, 60)
+        apart = least_distance(crane, scene, q)
+        starts = q[apart > 1e-3]
+        way = rng.normal(size=starts.shape)
+        ends = starts + rng.uniform(0.01, 0.1, (len(starts), 1)) * way
+        ends = np.clip(ends, crane.joint_lower, crane.joint_upper)
+        holds = certify_edges(crane, scene, starts, ends)
+        engine = Engine(crane, scene)
+        free = np.array(
+            [engine.valid(np.linspace(a, b, 60)).all() for a, b in zip(starts, ends, strict=True)]
+        )
+        assert not (holds & ~free).any()
+        # What is free by a millimetre all along is certified.
+        clear = np.array(
+            [
+                least_distance(crane, scene, np.linspace(a, b, 12)).min() > 2e-3 if ok else False
+                for a, b, ok in zip(starts, ends, free, strict=True)
+            ]
+        )
+        assert holds[clear].all()
+        certified += int(holds.sum())
+        by_hulls += int((holds & (clearances(crane, scene, starts) <= 0)).sum())
+    assert certified > 100
+    assert by_hulls > 20
