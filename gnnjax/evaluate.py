@@ -133,7 +133,7 @@ def _plan_missing(
         while len(rows) < num:
             batch = np.arange(len(rows), min(len(rows) + size, num))
             begin = time.perf_counter()
-            reasons = check_queries(planner.robot, _take(asked, batch))
+            reasons = check_queries(planner.robot, _take(asked, batch), config.margin)
             checking = time.perf_counter() - begin
             valid = batch[[reason is None for reason in reasons]]
             plans: dict[int, Plan] = {}

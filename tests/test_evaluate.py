@@ -91,7 +91,7 @@ def test_invalid_problems_are_counted_and_named(results):
     assert results["summary"]["num_invalid"] == 2
     assert results["summary"]["invalid_problems"] == [2, 4]
     assert "goal [0.0, 0.0, 0.0] is in collision" in results["problems"][2]["reason"]
-    assert "start has 2.7 for joint 2" in results["problems"][4]["reason"]
+    assert "start has 2.7 for joint b" in results["problems"][4]["reason"]
     assert results["summary"]["all"]["num_problems"] == 4
 
 

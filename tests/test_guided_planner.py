@@ -273,7 +273,7 @@ def test_a_start_in_a_corner_of_the_limits(robot, planner):
     ("start", "message"),
     [
         ([0.0, 0.0], r"start has shape \(2,\); tiny needs 3 joint values"),
-        ([0.0, float("nan"), 0.0], "start has nan for joint 2; it must lie between"),
+        ([0.0, float("nan"), 0.0], "start has nan for joint b; it must lie between"),
         ([0.0, 0.0, 0.0], "start .* is in collision"),
     ],
 )
@@ -322,7 +322,7 @@ def test_it_is_the_default_and_needs_no_weights_of_the_arm(tiny_path):
         (
             [[0.6, 0.0, 0.0]],
             ((float("nan"), 0.0, 0.0), (1.5, 0.0, 0.0)),
-            "start has nan for joint 1",
+            "start has nan for joint a",
         ),
         (
             [[0.6, 0.0, 0.0]] * 129,

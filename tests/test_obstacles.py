@@ -15,12 +15,13 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.paper.occupancy import occupancy_grid
+from gnnjax.planning.query import check_queries
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.field import distance_field, make_grid
 from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
-from gnnjax.scene.scene import Scene, scene_from_shapes
+from gnnjax.scene.scene import Scene, inflated, scene_from_shapes
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import (
     KINDS,
@@ -301,10 +302,41 @@ def test_what_is_wrong_with_an_obstacle_is_named(tmp_path, name, entry, message)
         scene_from_json(path)
 
 
-def test_what_is_of_no_kind_is_certified_by_nobody(tiny):
+@pytest.mark.parametrize(
+    ("half_extents", "radii"),
+    [
+        ([0.1, 0.1, 0.0], [0.0, 0.0]),  # flat
+        ([0.0, 0.0, 0.0], [0.1, 0.0]),  # a disc without a height
+        ([0.0, 0.0, 0.0], [0.0, 0.0]),
+        ([0.1, 0.1, 0.1], [-0.01, 0.0]),
+        ([0.1, 0.1, 0.1], [0.0, np.nan]),
+        ([0.0, 0.0, -0.1], [0.0, 0.1]),
+    ],
+)
+def test_nothing_is_certified_among_obstacles_that_are_none(tiny, half_extents, radii):
     scene = draw_scene(np.random.default_rng(6), 3, 3.0)
-    for change in ([0.1, 0.1], [0.1, 0.0], [0.0, 0.1]):  # a rounded box is no kind of ours
-        radii = scene.radii.copy()
-        radii[0] = change
-        with pytest.raises(InputError, match="obstacle 0 of the scene has half_extents and radii"):
-            certify_edges(tiny, scene._replace(radii=radii), np.zeros((1, 3)), np.zeros((1, 3)))
+    scene.half_extents[0], scene.radii[0] = half_extents, radii
+    with pytest.raises(InputError, match="obstacle 0 of the scene has half_extents and radii"):
+        certify_edges(tiny, scene, np.zeros((1, 3)), np.zeros((1, 3)))
+
+
+def test_a_margin_makes_obstacles_as_large_as_what_is_within_it(tiny):
+    rng = np.random.default_rng(7)
+    scene = draw_scene(rng, 5, 1.0)
+    q = draw_configurations(rng, tiny, 200)
+    thick = inflated(scene, 0.07)
+    alone = clearances(tiny, scene_from_shapes([]), q)
+    expected = np.minimum(engine_distances(tiny, scene, q).min(axis=1) - 0.07, alone)
+    found = clearances(tiny, thick, q)
+    clear = expected > 1e-4
+    np.testing.assert_allclose(found[clear], np.minimum(expected, alone)[clear], atol=2e-5)
+    assert (found[expected < -1e-4] <= 0).all()
+    checked = jax.jit(make_checker(tiny).check_configurations)(thick, q)
+    sure = np.abs(expected) > 1e-4
+    np.testing.assert_array_equal(np.asarray(checked)[sure], (expected > 0)[sure])
+    reasons = check_queries(tiny, Problem(q, q, stacked([scene] * len(q))), margin=0.07)
+    # Some are in the base, which is told first.
+    within = (expected < -1e-4) & (expected > -0.07 + 1e-4) & (alone > 1e-4)
+    assert within.sum() > 10
+    told = [reasons[i] for i in np.flatnonzero(within)]
+    assert all("within the margin of 70 mm" in reason for reason in told)

@@ -75,9 +75,9 @@ def test_the_same_seed_gives_the_same_plan(tiny_path):
     ("start", "message"),
     [
         ([0.0, 0.0], r"start has shape \(2,\); tiny needs 3 joint values"),
-        ([0.0, float("nan"), 0.0], "start has nan for joint 2; it must lie between"),
-        ([9.0, 0.0, 0.0], "start has 9 for joint 1; it must lie between -3 and 3"),
-        ([1e300, 0.0, 0.0], "start has inf for joint 1"),
+        ([0.0, float("nan"), 0.0], "start has nan for joint b; it must lie between"),
+        ([9.0, 0.0, 0.0], "start has 9 for joint a; it must lie between -3 and 3"),
+        ([1e300, 0.0, 0.0], "start has inf for joint a"),
         (["a", 0.0, 0.0], "is not a list of numbers"),
         ([0.0, 0.0, 0.0], "start .* is in collision"),
     ],

@@ -24,7 +24,7 @@ from gnnjax.errors import InputError
 from gnnjax.planning.options import PlannerOptions, check_options
 from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import Scene, is_axis_aligned
+from gnnjax.scene.scene import Scene, inflated, is_axis_aligned
 
 _CLASSES = {
     "ompl:rrt_connect": "RRTConnect",
@@ -78,6 +78,7 @@ class ClassicalPlanner:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of OMPL's random numbers; the same for each problem.
         """
+        problems = problems._replace(scene=inflated(problems.scene, self.options.margin))
         boxes = problems.scene.mask.shape[-1]
         make = self._checks_maker(is_axis_aligned(problems.scene), boxes)
         each = (jax.tree.map(lambda x, i=i: x[i], problems) for i in range(len(problems.start)))

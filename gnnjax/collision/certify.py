@@ -185,9 +185,11 @@ def clearances(
     owner: np.ndarray | None = None,
     most: float = np.inf,
 ) -> np.ndarray:
-    """Distances [m] of the arm at q `[B, D]` to boxes and itself, `[B]`; negative in collision.
+    """Distances [m] of the arm at q `[B, D]` to obstacles and itself, `[B]`, at least.
 
-    Infinite where there is nothing, NaN where q is not finite.
+    Infinite where there is nothing, NaN where q is not finite. They are those of the spheres around
+    the arm's parts; but where these do not tell whether the distance is more than `most`, the parts
+    are looked at. With `most=0` the distance is positive just where the arm is free.
 
     Args:
         robot: the arm.
@@ -214,10 +216,9 @@ def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
     return float(clearances(robot, scene, np.asarray(q)[None])[0])
 
 
-def self_clearance(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Distances [m] of the arm at `[B, D]` configurations to itself, `[B]`; inf without pairs."""
-    nothing = make_scene([], [])
-    return clearances(robot, nothing, q)
+def is_self_free(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Whether the arm at configurations `[B, D]` is clear of itself, `[B]`."""
+    return clearances(robot, make_scene([], []), q, most=0.0) > 0
 
 
 def base_clear(robot: Robot, scene: Scene) -> np.ndarray:

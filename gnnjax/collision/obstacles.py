@@ -9,7 +9,6 @@ import numpy as np
 
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
-from gnnjax.scene.shapes import kind_of
 
 _MOST_METERS = 1e4  # of an obstacle; what lies beyond is no scene of an arm
 _QUAT_ERROR = 1e-4  # how far from 1 a quaternion's length may be
@@ -83,16 +82,17 @@ def scene_faults(scenes: Scene) -> list[str | None]:
     mask, centers, half_extents, quats, radii = _arrays(scenes)
     with np.errstate(over="ignore", invalid="ignore"):
         norms = np.linalg.norm(quats, axis=2, keepdims=True)
-    # Written so that NaN fails. What is of no kind of ours, no file and no other engine knows.
-    of_a_kind = (kind_of(half_extents, radii) >= 0)[..., None]
+    # Written so that NaN fails. A sum may be of no kind of ours: a box with a margin around it.
     sizes = np.concatenate([half_extents, radii], axis=2)
+    x, y, z, disc, ball = np.moveaxis(sizes > 0, 2, 0)
+    solid = (ball | (z & (disc | (x & y))))[..., None] & (sizes >= 0)
     rules = (
         ("centers", centers, "finite", np.abs(centers) <= _MOST_METERS),
         (
             "half_extents and radii",
             sizes,
             "positive, as far as its kind has them",
-            of_a_kind & (sizes <= _MOST_METERS),
+            solid & (sizes <= _MOST_METERS),
         ),
         ("quats", quats, "of length 1", np.abs(norms - 1) <= _QUAT_ERROR),
     )

@@ -64,6 +64,8 @@ class PlannerOptions:
     C engine."""
     resolution: float = EDGE_RESOLUTION
     """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
+    margin: float = 0.0
+    """Clearance to keep from obstacles, m; certified like the path itself."""
     time_limit: float = np.inf
     """Seconds after which no further round is begun, or, but for guided, no further roadmap."""
 
@@ -117,6 +119,10 @@ def check_options(options: PlannerOptions) -> None:
         raise InputError(
             f"resolution is {options.resolution}; it must be at least 0.001 rad (or m)"
         )
+    if not 0 <= options.margin <= 1:
+        raise InputError(f"margin is {options.margin}; it must be between 0 and 1 m")
+    if options.margin and options.checker == "mujoco":
+        raise InputError("margin with checker 'mujoco', which has none; use the checker 'fused'")
     if not options.time_limit > 0:
         raise InputError(f"time_limit is {options.time_limit}; it must be more than 0 s")
     if options.is_classical and not np.isfinite(options.time_limit):

@@ -34,7 +34,7 @@ from gnnjax.planning.strategy import Strategy
 from gnnjax.planning.walks import Compiled, Walks, compile_strategy
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import Roadmap
-from gnnjax.scene.scene import Scene, is_axis_aligned
+from gnnjax.scene.scene import Scene, inflated, is_axis_aligned
 from gnnjax.search.greedy import Scorer
 
 # Of `load_planner`: ranks neighbors on one roadmap in one scene.
@@ -57,7 +57,7 @@ def load_planner(
         guide: for "guided": your own, in place of the distance field.
         scorer: for "greedy": `(roadmap, scene) -> Scorer`.
         options: see `PlannerOptions`: num_nodes, max_roadmaps, effort, weights, shorten, sampled,
-            checker, resolution, time_limit.
+            checker, resolution, margin, time_limit.
 
     Raises:
         InputError: an unknown robot, planner or option, or options that do not fit the planner.
@@ -159,14 +159,13 @@ class Planner(abc.ABC):
             InputError: start or goal is no valid configuration, or a box stands in the base.
         """
         begin = time.perf_counter()
-        start, goal = check_query(self.robot, scene, start, goal)
+        start, goal = check_query(self.robot, scene, start, goal, self.options.margin)
         checking = time.perf_counter() - begin
         problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
         plan = self.plan_batch(problems, seed=seed)[0]
         # What checking the query took belongs to it.
         return plan._replace(total_time_s=plan.total_time_s + checking)
 
-    @abc.abstractmethod
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
         """Plans P problems at once; every plan is what `plan` finds for its problem.
 
@@ -177,6 +176,12 @@ class Planner(abc.ABC):
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of the roadmaps; the same for each problem.
         """
+        scenes = inflated(problems.scene, self.options.margin)
+        return self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
+
+    @abc.abstractmethod
+    def _plan_batch(self, problems: Problem, seed: int) -> list[Plan]:
+        """`plan_batch`, with obstacles that are as large as the margin makes them."""
 
     @abc.abstractmethod
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
@@ -201,8 +206,7 @@ class GuidedPlanner(Planner):
 
     strategy: Guided
 
-    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
-        check_seed(seed)
+    def _plan_batch(self, problems: Problem, seed: int) -> list[Plan]:
         shares = shares_of(len(problems.start))
 
         def plan(share: Share) -> list[Plan]:
@@ -240,8 +244,8 @@ class WalkPlanner(Planner):
 
     strategy: Strategy
 
-    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
-        return self._walks(problems, check_seed(seed)).run()
+    def _plan_batch(self, problems: Problem, seed: int) -> list[Plan]:
+        return self._walks(problems, seed).run()
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         self._walks(self._at_home(scene, batch_size), 0).warm_up()

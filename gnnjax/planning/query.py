@@ -12,7 +12,7 @@ from gnnjax.collision.obstacles import scene_faults
 from gnnjax.errors import InputError, one_line
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.mujoco_world import deepest_contact
-from gnnjax.scene.scene import Scene, obstacle_name
+from gnnjax.scene.scene import Scene, inflated, obstacle_name
 
 
 class Plan(NamedTuple):
@@ -55,9 +55,16 @@ class QueryPlanner(Protocol):
 
 
 def check_query(
-    robot: Robot, scene: Scene, start: ArrayLike, goal: ArrayLike
+    robot: Robot, scene: Scene, start: ArrayLike, goal: ArrayLike, margin: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns start and goal as arrays, or says what is wrong with the query.
+
+    Args:
+        robot: the arm.
+        scene: one scene.
+        start: configuration.
+        goal: configuration.
+        margin: clearance that both must have from obstacles, m.
 
     Raises:
         InputError: start or goal is no valid configuration, a box is none, or one stands in the
@@ -76,18 +83,19 @@ def check_query(
             )
         ends.append(q)
     query = jax.tree.map(lambda x: np.asarray(x)[None], Problem(ends[0], ends[1], scene))
-    (reason,) = check_queries(robot, query)
+    (reason,) = check_queries(robot, query, margin)
     if reason is not None:
         raise InputError(reason)
     return ends[0], ends[1]
 
 
-def check_queries(robot: Robot, problems: Problem) -> list[str | None]:
+def check_queries(robot: Robot, problems: Problem, margin: float = 0.0) -> list[str | None]:
     """What is wrong with each of P problems, as `check_query` says it; None where nothing is.
 
     Args:
         robot: the arm.
         problems: `[P, ...]`.
+        margin: clearance that ends must have from obstacles, m.
 
     Raises:
         InputError: arrays of other shapes, which are no problems at all.
@@ -105,11 +113,12 @@ def check_queries(robot: Robot, problems: Problem) -> list[str | None]:
     scenes = jax.tree.map(lambda x: np.asarray(x)[rows], problems.scene)
     ends = np.concatenate([starts[rows], goals[rows]])
     owner = np.tile(np.arange(len(rows)), 2)
-    clearance = clearances(robot, scenes, ends, owner, most=0.0).reshape(2, -1)
+    thick = inflated(scenes, margin)
+    clearance = clearances(robot, thick, ends, owner, most=0.0).reshape(2, -1)
     found = [
         _base_reasons(robot, scenes),
-        _end_reasons(robot, "start", scenes, starts[rows], clearance[0]),
-        _end_reasons(robot, "goal", scenes, goals[rows], clearance[1]),
+        _end_reasons(robot, "start", scenes, starts[rows], clearance[0], margin),
+        _end_reasons(robot, "goal", scenes, goals[rows], clearance[1], margin),
     ]
     for row, *why in zip(rows, *found, strict=True):
         reasons[row] = next(filter(None, why), None)
@@ -129,7 +138,7 @@ def _base_reasons(robot: Robot, scenes: Scene) -> list[str | None]:
 
 
 def _end_reasons(
-    robot: Robot, name: str, scenes: Scene, q: np.ndarray, clearance: np.ndarray
+    robot: Robot, name: str, scenes: Scene, q: np.ndarray, clearance: np.ndarray, margin: float
 ) -> list[str | None]:
     """What is wrong with configurations `[P, D]` that have so much clearance `[P]`."""
     reasons: list[str | None] = [None] * len(q)
@@ -139,7 +148,7 @@ def _end_reasons(
             joint = int(outside[i].argmax())
             value = q[i, joint]
             # Of hinges alone: nobody gives metres in degrees.
-            degrees = _is_hinge(robot, joint) and abs(value) > 2 * np.pi
+            degrees = _is_hinge(robot, joint) and 2 * np.pi < abs(value) < np.inf
             reasons[i] = (
                 f"{name} has {value:.4g} for joint {robot.joint_names[joint]}; it must lie between "
                 f"{robot.joint_lower[joint]:.4g} and {robot.joint_upper[joint]:.4g}"
@@ -147,15 +156,22 @@ def _end_reasons(
             )
             continue
         contact = deepest_contact(robot, jax.tree.map(lambda x, i=i: x[i], scenes), q[i])
-        why = (
-            f"{contact.first} and {contact.second} overlap by {1e3 * contact.depth:.1f} mm"
-            if contact
-            else "it comes too close to a contact to tell"
-        )
-        reasons[i] = (
-            f"{name} {np.round(q[i], 4).tolist()} is in collision: {why}; choose a free "
-            "configuration"
-        )
+        rounded = np.round(q[i], 4).tolist()
+        if contact:
+            reasons[i] = (
+                f"{name} {rounded} is in collision: {contact.first} and {contact.second} overlap "
+                f"by {1e3 * contact.depth:.1f} mm; choose a free configuration"
+            )
+        elif margin:
+            reasons[i] = (
+                f"{name} {rounded} is within the margin of {1e3 * margin:g} mm of an obstacle; "
+                "choose another one, or less margin"
+            )
+        else:
+            reasons[i] = (
+                f"{name} {rounded} is so near to a contact that none can be ruled out; choose one "
+                "that has a tenth of a millimetre more room"
+            )
     return reasons
 
 

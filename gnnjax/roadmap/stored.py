@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import self_clearance
+from gnnjax.collision.certify import is_self_free
 from gnnjax.errors import InputError
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, connect, default_radius, node_bucket
 from gnnjax.roadmap.sobol import sobol_points
@@ -49,7 +49,7 @@ def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
         drawn = sobol_points(robot.num_dof, seed, number * block, block)
         drawn = (robot.joint_lower + drawn * robot.joint_range).astype(np.float32)
         drawn = np.clip(drawn, robot.joint_lower, robot.joint_upper)
-        nodes = np.concatenate([nodes, drawn[self_clearance(robot, drawn) > 0]])[:num_nodes]
+        nodes = np.concatenate([nodes, drawn[is_self_free(robot, drawn)]])[:num_nodes]
         if len(nodes) == num_nodes:
             padding = node_bucket(num_nodes + 2) - 2 - num_nodes
             mask = np.arange(num_nodes + padding) < num_nodes

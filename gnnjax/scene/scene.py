@@ -274,6 +274,14 @@ def rotation_matrices(quats: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def inflated(scene: Scene, margin: float) -> Scene:
+    """Obstacles as large as all that is within `margin` [m] of them; padding stays."""
+    if margin == 0:
+        return scene
+    more = np.where(np.asarray(scene.mask)[..., None], np.float32([0, margin]), np.float32(0))
+    return scene._replace(radii=scene.radii + more)
+
+
 def obstacle_name(scene: Scene, i: int) -> str:
     """How error messages call obstacle i of one scene: its kind, and its number among those."""
     kinds = kind_of(scene.half_extents, scene.radii)
