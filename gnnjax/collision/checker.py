@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.fused import fused_functions
+from gnnjax.collision.fused import BLOCKED, Levels, fused_functions
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
 
@@ -56,6 +56,7 @@ class Checker(NamedTuple):
     check_configurations: Callable[[Scene, jax.Array], jax.Array]
     check_each: Callable[[Scene, jax.Array, jax.Array], jax.Array]
     check_edges: Callable[[Scene, jax.Array, jax.Array], EdgeChecks]
+    levels: Levels | None = None  # `check_each` in two steps, where it has two
 
 
 def make_checker(
@@ -108,7 +109,15 @@ def make_checker(
             return _check_many_edges(check_configurations, order, resolution, scene, starts, ends)
         return _check_edges(check_configurations, order, resolution, scene, starts, ends)
 
-    return Checker(functions.clearance, check_configurations, check_each, check_edges)
+    levels = functions.levels
+    if levels is not None:
+        first, second = levels
+
+        def check_first(scenes: Scene, owner: jax.Array, nodes: jax.Array) -> jax.Array:
+            return jnp.where(inside_limits(nodes), first(scenes, owner, nodes), BLOCKED)
+
+        levels = Levels(check_first, second)
+    return Checker(functions.clearance, check_configurations, check_each, check_edges, levels)
 
 
 def most_intervals(robot: Robot, resolution: float) -> int:

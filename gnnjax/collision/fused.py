@@ -24,6 +24,7 @@ from gnnjax.arm.kinematics import (
     transform,
 )
 from gnnjax.arm.robot import CAPSULE, Robot
+from gnnjax.collision.exact import WORD, Placed, Touching, exact_test
 from gnnjax.scene.geometry import segment_segment_squared, segment_sum_squared
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 
@@ -31,6 +32,7 @@ from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 # single loop over the batch. It splits what exceeds 2,000 operations into functions, and where it
 # fails to join them again, the loop runs several times slower.
 _SELF_PAIRS_A_PASS = 600
+_OPEN_AT_ONCE = 32  # configurations that spheres leave open, and are decided together
 FAR = 1e6  # m; where obstacles are that do not exist
 
 
@@ -91,12 +93,26 @@ def _segments(
     return segments
 
 
+class Levels(NamedTuple):
+    """A test in two steps, of which the second is of those alone that the first leaves open.
+
+    Both are functions `(scenes [P], owner [B], q [B D]) -> [B]`.
+    """
+
+    first: Callable[[Scene, jax.Array, jax.Array], jax.Array]  # BLOCKED, OPEN or FREE
+    second: Callable[[Scene, jax.Array, jax.Array], jax.Array]  # whether it is free
+
+
+BLOCKED, OPEN, FREE = 0, 1, 2
+
+
 class CollisionFunctions(NamedTuple):
     """What a backend is; see `Checker`."""
 
     clearance: Callable[[Scene, jax.Array], jax.Array]
     collision_free: Callable[[Scene, jax.Array], jax.Array]
     collision_free_each: Callable[[Scene, jax.Array, jax.Array], jax.Array]
+    levels: Levels | None  # of the last; None for an arm whose spheres leave nothing open
 
 
 class _Obstacles(NamedTuple):
@@ -127,7 +143,9 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         robot: the arm.
         axis_aligned: promise that no obstacle is rotated; the kernel then skips the rotation.
     """
-    geom_radii = robot.geom_radii.tolist()
+    # Of spheres around the parts, and of those inside of them; the same for arms of spheres.
+    is_open = bool((robot.geom_inner_radii < robot.geom_radii).any())
+    levels = [robot.geom_radii.tolist(), robot.geom_inner_radii.tolist()][: 1 + is_open]
     moving = np.flatnonzero(moved_by_joint(robot)).tolist()
     num_self = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
     self_parts = np.array_split(robot.self_pairs, max(1, num_self))
@@ -137,26 +155,36 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         # one. NaN configurations are refused by the joint limits.
         return jnp.where(a < b, a, b)
 
-    def obstacle_pass(joints, obstacle, gap):
+    def obstacle_segments(joints, obstacle):
         origin, rotation, half_extents, radii = obstacle
         # Kinematics in the frame of the obstacle are less work than moving every sphere there.
         turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
         segments = _segments(robot, joints, (list(origin), turned))
-        smallest = jnp.full(joints.values.shape[1:], jnp.inf, joints.values.dtype)
         for g in moving:
-            squared = segment_sum_squared(*segments[g], list(half_extents), radii[0])
-            smallest = smaller(gap(squared, geom_radii[g] + radii[1]), smallest)
+            yield g, segment_sum_squared(*segments[g], list(half_extents), radii[0]), radii[1]
+
+    def obstacle_pass(joints, obstacle, smallest, gap, levels):
+        for g, squared, ball in obstacle_segments(joints, obstacle):
+            smallest = [
+                smaller(gap(squared, radii[g] + ball), least) if radii[g] > 0 else least
+                for least, radii in zip(smallest, levels, strict=True)
+            ]
         return smallest
 
-    def self_pass(joints, pairs, gap):
+    def self_pass(joints, pairs, smallest, gap, levels):
         segments = _segments(robot, joints)
-        smallest = jnp.full(joints.values.shape[1:], jnp.inf, joints.values.dtype)
         for i, j in pairs:
             squared = segment_segment_squared(*segments[i], *segments[j])
-            smallest = smaller(gap(squared, geom_radii[i] + geom_radii[j]), smallest)
+            smallest = [
+                smaller(gap(squared, radii[i] + radii[j]), least)
+                if radii[i] > 0 and radii[j] > 0
+                else least
+                for least, radii in zip(smallest, levels, strict=True)
+            ]
         return smallest
 
-    def smallest_gap(obstacles: _Obstacles, q: jax.Array, gap, worth_going_on) -> jax.Array:
+    def smallest_gaps(obstacles: _Obstacles, q: jax.Array, gap, worth_going_on, levels):
+        """Of each level of spheres the smallest gap."""
         joints = joint_terms(robot, q)
 
         # One obstacle a pass. With several, the compiler finds out what they share and the kernel
@@ -167,44 +195,150 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
             *parts, _ = obstacles  # the rotations may be None
             own = jax.tree.map(lambda x: x[i], parts)
-            return smaller(obstacle_pass(fresh, own, gap), smallest)
+            return obstacle_pass(fresh, own, smallest, gap, levels)
 
-        smallest = jnp.full(q.shape[:-1], jnp.inf, q.dtype)
+        smallest = [jnp.full(q.shape[:-1], jnp.inf, q.dtype) for _ in levels]
         smallest = jax.lax.fori_loop(0, obstacles.num, one_pass, smallest)
         for part in self_parts:
 
             def self_turn(_, smallest, part=part):
                 fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
-                return smaller(self_pass(fresh, part, gap), smallest)
+                return self_pass(fresh, part, smallest, gap, levels)
 
             # A loop of one turn or none, for the same reason as above; none where it cannot matter.
-            turns = jnp.any(worth_going_on(smallest)).astype(jnp.int32)
+            turns = jnp.any(worth_going_on(smallest[-1])).astype(jnp.int32)
             smallest = jax.lax.fori_loop(0, turns, self_turn, smallest)
         return smallest
 
-    def is_free(obstacles: _Obstacles, q: jax.Array) -> jax.Array:
+    def signs(obstacles: _Obstacles, q: jax.Array) -> list[jax.Array]:
         # Squares compare like distances and need no root.
-        gaps = smallest_gap(
-            obstacles, q, lambda squared, reach: squared - reach**2, lambda g: g > 0
-        )
-        return gaps > 0
+        def gap(squared, reach):
+            return squared - reach**2
+
+        return [
+            gaps > 0 for gaps in smallest_gaps(obstacles, q, gap, lambda gaps: gaps > 0, levels)
+        ]
+
+    # Of the pairs of `exact_test`: which bit of which word they are.
+    part_of, pair_of = robot.geom_parts.tolist(), _part_pairs(robot)
+    num_words = -(-len(robot.parts) // WORD), -(-len(robot.part_pairs) // WORD)
+
+    def touching(obstacles: _Obstacles, q: jax.Array) -> Touching:
+        joints = joint_terms(robot, q)
+
+        def one_pass(i, words):
+            fresh, words = jax.lax.optimization_barrier((joints, words))
+            *parts, _ = obstacles
+            own = jax.tree.map(lambda x: x[i], parts)
+            found = [jnp.zeros(len(q), jnp.uint32)] * num_words[0]
+            for g, squared, ball in obstacle_segments(fresh, own):
+                word, bit = divmod(part_of[g], WORD)
+                hit = squared <= (levels[0][g] + ball) ** 2
+                found[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
+            return words.at[i].set(jnp.stack(found))
+
+        nothing = jnp.zeros((len(obstacles.origins), num_words[0], len(q)), jnp.uint32)
+        parts = jax.lax.fori_loop(0, obstacles.num, one_pass, nothing)
+        pairs = [jnp.zeros(len(q), jnp.uint32)] * num_words[1]
+        for part in self_parts if num_words[1] else ():
+
+            def self_turn(_, words, part=part):
+                fresh, words = jax.lax.optimization_barrier((joints, words))
+                segments, words = _segments(robot, fresh), list(words)
+                for i, j in part:
+                    word, bit = divmod(pair_of[part_of[i], part_of[j]], WORD)
+                    squared = segment_segment_squared(*segments[i], *segments[j])
+                    hit = squared <= (levels[0][i] + levels[0][j]) ** 2
+                    words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
+                return words
+
+            pairs = jax.lax.fori_loop(0, jnp.minimum(obstacles.num + 1, 1), self_turn, pairs)
+        stacked = jnp.stack(pairs) if pairs else jnp.zeros((0, len(q)), jnp.uint32)
+        return Touching(parts, stacked)
+
+    is_free_exactly = exact_test(robot) if is_open else None
+
+    def decide(obstacles: _Obstacles, q: jax.Array) -> jax.Array:
+        """Whether configurations with obstacles of their own are free, by their parts."""
+        *parts, _ = obstacles
+        return is_free_exactly(Placed(*parts), touching(obstacles, q), q)
+
+    def of_each(obstacles: _Obstacles, rows: jax.Array) -> _Obstacles:
+        """The obstacles of some configurations, each its own, and all of them rotated."""
+        origins, rotations, extents, radii, num = obstacles
+        if rotations is None:
+            rotations = jnp.broadcast_to(jnp.eye(3), (len(origins), 3, 3))
+
+        def own(x: jax.Array, axes: int) -> jax.Array:
+            if x.ndim == axes:
+                return jnp.broadcast_to(x[..., None], (*x.shape, len(rows)))
+            return x[..., rows]
+
+        return _Obstacles(own(origins, 2), own(rotations, 3), own(extents, 2), own(radii, 2), num)
+
+    def is_free(obstacles: _Obstacles, q: jax.Array) -> jax.Array:
+        outer, *inner = signs(obstacles, q)
+        if not inner:
+            return outer
+
+        def some_left(state):
+            return jnp.any(state[0])
+
+        def decide_some(state):
+            left, free = state
+            (rows,) = jnp.nonzero(left, size=_OPEN_AT_ONCE, fill_value=len(q))
+            chosen = jnp.minimum(rows, len(q) - 1)
+            found = decide(of_each(obstacles, chosen), q[chosen])
+            return left.at[rows].set(False, mode="drop"), free.at[rows].set(found, mode="drop")
+
+        state = ~outer & inner[0], outer
+        return jax.lax.while_loop(some_left, decide_some, state)[1]
 
     def clearance(scene: Scene, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
         def gap(squared, reach):
             return jnp.sqrt(squared) - reach
 
-        return smallest_gap(_obstacles(scene, axis_aligned), q, gap, lambda gaps: gaps == gaps)
+        obstacles = _obstacles(scene, axis_aligned)
+        return smallest_gaps(obstacles, q, gap, lambda gaps: gaps == gaps, levels[:1])[0]
 
     def collision_free(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
         return is_free(_obstacles(scene, axis_aligned), nodes)
 
-    def collision_free_each(
-        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
-    ) -> Bool[Array, " B"]:
+    def obstacles_of_each(scenes: Scene, owner: jax.Array) -> _Obstacles:
         own = _obstacles(jax.tree.map(lambda x: x[owner], scenes), axis_aligned)
         # One array a component, as everything else in a pass.
         moved = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), own._replace(num=None))
-        return is_free(moved._replace(num=own.num), nodes)
+        return moved._replace(num=own.num)
+
+    def collision_free_each(
+        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
+    ) -> Bool[Array, " B"]:
+        return is_free(obstacles_of_each(scenes, owner), nodes)
+
+    def first_level(
+        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
+    ) -> Int[Array, " B"]:
+        outer, inner = signs(obstacles_of_each(scenes, owner), nodes)
+        return jnp.where(outer, FREE, jnp.where(inner, OPEN, BLOCKED)).astype(jnp.int8)
+
+    def second_level(
+        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
+    ) -> Bool[Array, " B"]:
+        obstacles = obstacles_of_each(scenes, owner)
+        return decide(of_each(obstacles, jnp.arange(len(nodes))), nodes)
 
     # Traced once a shape, however often a function that is compiled around it asks.
-    return CollisionFunctions(clearance, jax.jit(collision_free), jax.jit(collision_free_each))
+    return CollisionFunctions(
+        clearance,
+        jax.jit(collision_free),
+        jax.jit(collision_free_each),
+        Levels(first_level, second_level) if is_open else None,
+    )
+
+
+def _part_pairs(robot: Robot) -> dict[tuple[int, int], int]:
+    """Of two parts, in either order, their number in `Robot.part_pairs`."""
+    found = {}
+    for number, (first, second) in enumerate(robot.part_pairs.tolist()):
+        found[first, second] = found[second, first] = number
+    return found

@@ -15,9 +15,9 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
+from gnnjax.collision.exact import hulls_of
 from gnnjax.collision.obstacles import Obstacles, sum_of_squares
 
-_SIMPLER = 5e-4  # m; by which the hulls for which planes are looked for may stand out of the true
 _PAIRS_A_CALL = 128  # that planes are looked for at once; fixed, so that it is compiled once
 
 
@@ -31,7 +31,7 @@ class Hulls:
         self.vertices = np.stack(  # [T V 3]; those that are missing repeat the last
             [np.pad(p.vertices, ((0, most - len(p.vertices)), (0, 0)), "edge") for p in robot.parts]
         )
-        self._parts = _simpler(robot)
+        self._parts = hulls_of(robot)
         self._to_obstacles = jax.jit(convex.separate_obstacles)
         self._to_parts = jax.jit(convex.separate_parts)
 
@@ -117,17 +117,6 @@ class Hulls:
             heights = self.vertices[number] @ seen[:, rows]
             found[rows] = heights.min(axis=0) - self.radii[number]
         return found + _dot(normal, frames[3])
-
-
-def _simpler(robot: Robot) -> convex.Parts:
-    simple = [
-        (p.vertices, 0.0) if len(p.vertices) <= 8 else convex.simplify(p.vertices, _SIMPLER)
-        for p in robot.parts
-    ]
-    most = max(len(vertices) for vertices, _ in simple)
-    vertices = [np.pad(v, ((0, most - len(v)), (0, 0)), "edge") for v, _ in simple]
-    radii = [p.radius + more for p, (_, more) in zip(robot.parts, simple, strict=True)]
-    return convex.Parts(jnp.asarray(vertices, jnp.float32), jnp.asarray(radii, jnp.float32))
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

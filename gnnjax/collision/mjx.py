@@ -148,7 +148,9 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
         return collision_free(jax.tree.map(lambda x: x[owner], scenes), nodes)
 
     # Traced once a shape, however often a function that is compiled around it asks.
-    return CollisionFunctions(clearance, jax.jit(collision_free), jax.jit(collision_free_each))
+    return CollisionFunctions(
+        clearance, jax.jit(collision_free), jax.jit(collision_free_each), None
+    )
 
 
 def _distance_to(

@@ -6,6 +6,7 @@ calls of one kernel over pairs of configuration and scene. What comes out for a 
 is counted, is what testing it alone and one by one would give.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -13,10 +14,12 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import Checker, bisection_order, most_intervals
+from gnnjax.collision.fused import BLOCKED, FREE, OPEN
 from gnnjax.scene.scene import Scene
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
 _BLOCKS = (64, 512, 4096)
+_OPEN_BLOCKS = (32,)  # of those that the first level leaves open
 _FIRST_STRETCH = 16  # configurations of a sequence in its first call, where many share it
 
 
@@ -50,7 +53,9 @@ class SequenceTester:
         resolution: largest distance of neighbouring configurations of a motion.
         """
         self.checker = checker
-        self._check = jax.jit(checker.check_each)
+        levels = checker.levels
+        self._check = jax.jit(checker.check_each if levels is None else levels.first)
+        self._decide = None if levels is None else jax.jit(levels.second)
         self._order = bisection_order(most_intervals(robot, resolution))
         self._resolution = resolution
         self.computed = 0  # configurations, with those that no sequential test would have needed
@@ -60,6 +65,8 @@ class SequenceTester:
         for block in _blocks_for(scenes):
             zeros = np.zeros((block, num_dof), np.float32)
             jax.block_until_ready(self._check(scenes, np.zeros(block, np.int32), zeros))
+        if self._decide is not None:
+            self._run(self._decide, _OPEN_BLOCKS[:1], scenes, np.zeros(1, int), zeros[:1])
 
     def __call__(self, scenes: Scene, items: Items, num: int) -> Outcome:
         """Tests what is asked for.
@@ -87,7 +94,7 @@ class SequenceTester:
             point = self._order[intervals[item], at - begin[item]]
             fraction = (point / intervals[item]).astype(np.float32)[:, None]
             q = low[item] + fraction * (high[item] - low[item])
-            bad = np.flatnonzero(~self._test(scenes, items.owner[item], q))
+            bad = np.flatnonzero(~self._test(scenes, items.owner[item], q, of))
             hit, where = np.unique(of[bad], return_index=True)
             tested = size.copy()
             tested[hit] = step[bad[where]] + 1
@@ -127,10 +134,37 @@ class SequenceTester:
         points = np.where(items.motion & testable, intervals - 1, 1)
         return low, high, intervals.astype(int), points.astype(int)
 
-    def _test(self, scenes: Scene, owner: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Whether configurations `[B D]` are valid, each in the scene of its owner."""
-        valid, begin = np.empty(len(q), bool), 0
-        blocks, parts = _blocks_for(scenes), []
+    def _test(
+        self, scenes: Scene, owner: np.ndarray, q: np.ndarray, sequence: np.ndarray
+    ) -> np.ndarray:
+        """Whether configurations `[B D]` are valid, each in the scene of its owner.
+
+        Those that the first level leaves open are decided, but for what comes after one of the
+        same sequence that is not valid.
+        """
+        found = self._run(self._check, _blocks_for(scenes), scenes, owner, q)
+        self.computed += len(q)
+        if self._decide is None:
+            return found
+        blocked = np.flatnonzero(found == BLOCKED)
+        first = np.full(sequence.max(initial=0) + 1, len(q))
+        np.minimum.at(first, sequence[blocked], blocked)
+        rows = np.flatnonzero((found == OPEN) & (np.arange(len(q)) < first[sequence]))
+        valid = found == FREE
+        if len(rows):
+            valid[rows] = self._run(self._decide, _OPEN_BLOCKS, scenes, owner[rows], q[rows])
+        return valid
+
+    def _run(
+        self,
+        function: Callable[..., jax.Array],
+        blocks: tuple[int, ...],
+        scenes: Scene,
+        owner: np.ndarray,
+        q: np.ndarray,
+    ) -> np.ndarray:
+        """What a function says of configurations, asked in blocks of a few sizes."""
+        parts, begin = [], 0
         while begin < len(q):
             left = len(q) - begin
             block = next((b for b in blocks if left <= b), blocks[-1])
@@ -139,14 +173,12 @@ class SequenceTester:
                 block = blocks[blocks.index(block) - 1]
             end = min(begin + block, len(q))
             pad = begin + block - end
-            rows = np.pad(q[begin:end], ((0, pad), (0, 0)))
+            rows = np.pad(q[begin:end], ((0, pad), (0, 0)), mode="edge")
             own = np.pad(owner[begin:end], (0, pad), mode="edge").astype(np.int32)
-            parts.append((begin, end, self._check(scenes, own, rows)))
-            self.computed += block
+            parts.append((end - begin, function(scenes, own, rows)))
             begin = end
-        for first, end, found in parts:  # all are on their way before the first is waited for
-            valid[first:end] = np.asarray(found)[: end - first]
-        return valid
+        # All are on their way before the first is waited for.
+        return np.concatenate([np.asarray(found)[:num] for num, found in parts])
 
 
 def _blocks_for(scenes: Scene) -> tuple[int, ...]:
