@@ -82,10 +82,8 @@ def draw_cover(robot: Robot, out: str | Path) -> None:
     light = 0.7 + 0.3 * sphere.mean(axis=1) @ (0.3, -0.5, 0.8)
     figure = Figure(figsize=(9, 5), layout="constrained")
     bodies = robot.geom_bodies
-    ends = [robot.geom_centers + end * robot.geom_axes for end in (-1, 0, 1)]
-    centers = np.concatenate([np.einsum("gij,gj->gi", rotations[bodies], x) for x in ends])
-    centers += np.tile(positions[bodies], (3, 1))
-    radii = np.tile(robot.geom_radii, 3)
+    centers = np.einsum("gij,gj->gi", rotations[bodies], robot.geom_centers) + positions[bodies]
+    radii = robot.geom_radii
     surfaces = centers[:, None, None] + radii[:, None, None, None] * sphere
     lower, upper = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
     for column, title in enumerate(("parts", "with their spheres"), start=1):

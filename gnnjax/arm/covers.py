@@ -1,6 +1,6 @@
-"""Covers: the spheres and capsules that the fast tests have in place of an arm's parts.
+"""Covers: the spheres that the fast tests have in place of an arm's parts.
 
-A part that is a sphere or a capsule is its own cover. Others get spheres (`fit.py`), which takes a
+A part that is a sphere is its own cover, and a capsule a chain. Others get spheres (`fit.py`), which takes a
 second or two a part; so covers are kept in the user's cache folder, each as soon as it is there.
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gnnjax.arm.fit import Cover, fit_covers
-from gnnjax.arm.parts import CAPSULE, SPHERE, Part
+from gnnjax.arm.parts import Part
 from gnnjax.files import atomic_write, cache_folder
 
 _LOG = logging.getLogger(__name__)
@@ -28,33 +28,35 @@ _VERSION = 1  # of the fit; covers of another one are fitted anew
 
 
 class Rows(NamedTuple):
-    """The spheres and capsules of all parts, as `Robot` has them."""
+    """The spheres of all parts, as `Robot` has them."""
 
     parts: np.ndarray  # [G] index of the part that each belongs to
-    types: np.ndarray  # [G] MuJoCo geom type
     centers: np.ndarray  # [G 3] m
-    axes: np.ndarray  # [G 3] m, from the centre to one end of a capsule's segment, else 0
     radii: np.ndarray  # [G] m
-    inner_radii: np.ndarray  # [G] m, of what is inside the part, about the same centre or segment
+    inner_radii: np.ndarray  # [G] m, of the ball about the same centre that is inside the part
 
 
 def cover_parts(parts: Sequence[Part]) -> Rows:
-    """Covers parts by spheres and capsules, in their order."""
+    """Covers parts by spheres, in their order: round ones by themselves or a chain."""
     covers = iter(_share(_fitted([part for part in parts if len(part.vertices) > 2])))
     rows = []
     for number, part in enumerate(parts):
-        if len(part.vertices) > 2:
-            cover = next(covers)
-            for center, radius, depth in zip(*cover, strict=True):
-                rows.append((number, SPHERE, center, np.zeros(3), radius, depth))
-        else:
-            kind = CAPSULE if len(part.vertices) == 2 else SPHERE
-            center = part.vertices.mean(axis=0)
-            rows.append(
-                (number, kind, center, part.vertices[-1] - center, part.radius, part.radius)
-            )
+        cover = next(covers) if len(part.vertices) > 2 else _chain(part)
+        rows += [(number, *sphere) for sphere in zip(*cover, strict=True)]
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     return Rows(*columns)
+
+
+def _chain(part: Part) -> Cover:
+    """A sphere as it is, or a capsule as spheres along its axis, at most a radius apart."""
+    first, last = part.vertices[[0, -1]]
+    pieces = int(np.ceil(np.linalg.norm(last - first) / part.radius)) if part.radius > 0 else 0
+    share = np.linspace(0, 1, pieces + 1)[:, None] if pieces else np.full((1, 1), 0.5)
+    centers = first + share * (last - first)
+    apart = np.linalg.norm(last - first) / max(pieces, 1)
+    radius = np.hypot(part.radius, apart / 2) if pieces else part.radius
+    num = len(centers)
+    return Cover(centers, np.full(num, radius), np.full(num, part.radius))
 
 
 def _share(choices: list[list[Cover]]) -> list[Cover]:

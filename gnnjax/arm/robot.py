@@ -4,7 +4,7 @@ Everything here is NumPy, computed once when a robot is loaded. The arrays of `R
 from which `kinematics.py` and `collision/fused.py` generate their kernels.
 
 What an arm collides as are its parts, which are convex (`parts.py`). The first and fastest tests
-are of spheres and capsules around them (`covers.py`): where those are clear, so are the parts.
+are of spheres around them (`covers.py`): where those are clear, so are the parts.
 
 Scenes are given in the frame of the arm's base, wherever the file puts that in its world. So the
 file is read with its world moved to the base (`mjcf.py`), and from there on, in every kernel, in
@@ -25,8 +25,6 @@ from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, witho
 from gnnjax.arm.covers import cover_parts
 from gnnjax.arm.joints import joint_name
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
-from gnnjax.arm.parts import CAPSULE as CAPSULE  # of `Robot.geom_types`, with SPHERE
-from gnnjax.arm.parts import SPHERE as SPHERE
 from gnnjax.arm.parts import Part, part_of_geom, quat_to_matrix
 from gnnjax.arm.reading import Reading, read_arm
 from gnnjax.errors import InputError
@@ -81,12 +79,10 @@ class Robot:
     part_geom_ids: np.ndarray  # [P] geom of `mj_model` that each part is
     part_pairs: np.ndarray  # [Q 2] indices of parts that must stay clear of each other
     allowed_pairs: tuple[tuple[str, str], ...]  # names of parts that always touch, and may
-    # The cover: rows of spheres and capsules that enclose the parts.
+    # The cover: spheres that enclose the parts.
     geom_parts: np.ndarray  # [G] index into `parts`
     geom_bodies: np.ndarray  # [G] index into `bodies`, -1 for geoms fixed to the world
-    geom_types: np.ndarray  # [G] MuJoCo geom type
     geom_centers: np.ndarray  # [G 3] m, in the body's frame
-    geom_axes: np.ndarray  # [G 3] m, from the centre to one end of a capsule's segment, else 0
     geom_radii: np.ndarray  # [G] m
     geom_inner_radii: np.ndarray  # [G] m, of what lies inside the part; not above 0: the centre is
     # outside of it
@@ -244,9 +240,7 @@ def _robot_of(
         allowed_pairs=allowed,
         geom_parts=rows.parts,
         geom_bodies=np.array([parts[p].body for p in rows.parts.tolist()]),
-        geom_types=rows.types,
         geom_centers=rows.centers,
-        geom_axes=rows.axes,
         geom_radii=rows.radii,
         geom_inner_radii=rows.inner_radii,
         self_pairs=row_pairs[np.lexsort(row_pairs.T[::-1])],

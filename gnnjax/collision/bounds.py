@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gnnjax.arm.robot import CAPSULE, Joint, Robot
+from gnnjax.arm.robot import Joint, Robot
 from gnnjax.collision.hulls import Hulls
 from gnnjax.collision.obstacles import sum_of_squares
 from gnnjax.errors import InputError
@@ -33,46 +33,27 @@ class Spheres:
         if not ((robot.geom_radii > 0) & np.isfinite(robot.geom_radii)).all():
             raise InputError(f"geoms of {robot.name} have radii that are not positive; mend them")
         self.robot = robot
-        owner, bodies, centers, radii = [], [], [], []
-        parts = [part.body for part in robot.parts]
         # Spheres of one body lie side by side: they are a link.
-        for g in np.argsort(robot.geom_bodies, kind="stable"):
-            radius, steps = robot.geom_radii[g], np.zeros(1)
-            if robot.geom_types[g] == CAPSULE:
-                length = 2 * np.linalg.norm(robot.geom_axes[g])
-                count = int(np.ceil(2 * length / radius)) + 1
-                steps = np.linspace(-1, 1, count)
-                radius = np.hypot(radius, length / (count - 1) / 2)
-            for step in steps:
-                owner.append(g)
-                bodies.append(int(robot.geom_bodies[g]))
-                centers.append(robot.geom_centers[g] + step * robot.geom_axes[g])
-                radii.append(radius)
-        self.bodies, self.centers = np.array(bodies), np.array(centers).T
-        self.radii = np.array(radii)
-        self.reach = np.array(
-            [self._reach(b, c[None])[0] for b, c in zip(bodies, centers, strict=True)]
-        )
+        owner = np.argsort(robot.geom_bodies, kind="stable")
+        self.bodies, self.centers = robot.geom_bodies[owner], robot.geom_centers[owner].T
+        self.radii = robot.geom_radii[owner]
+        self.reach = np.empty((len(owner), robot.num_dof))
+        for body in np.unique(self.bodies).tolist():
+            own = self.bodies == body
+            self.reach[own] = self._reach(body, self.centers[:, own].T)
         axes = np.zeros((robot.num_dof, 3))
         for joint in (joint for body in robot.bodies for joint in body.joints):
             axes[joint.index] = joint.axis
         # [D 3 3], whose products with vectors are those of the axes: row i is e_i x axis.
         self.crosses = np.cross(np.eye(3), axes[:, None])
         self._find_links()
-        owner = np.array(owner)
         self.part = robot.geom_parts[owner]
         # How much farther away than a sphere its part may be: no farther than a ball in the part.
         inner = robot.geom_inner_radii[owner]
         self.slack = np.where(inner > 0, self.radii - inner, np.inf)
-        self.part_links = np.searchsorted(self.links, parts)
+        self.part_links = np.searchsorted(self.links, [part.body for part in robot.parts])
         self._reach_of_parts()
-        pairs = [
-            (i, j)
-            for a, b in robot.self_pairs
-            for i in np.flatnonzero(owner == a)
-            for j in np.flatnonzero(owner == b)
-        ]
-        self._sort_pairs(np.array(pairs, int).reshape(-1, 2))
+        self._sort_pairs(np.argsort(owner)[robot.self_pairs])
 
     def _find_links(self) -> None:
         """What the spheres of a body have in common: L links, and a ball around each."""

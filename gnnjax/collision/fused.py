@@ -23,9 +23,9 @@ from gnnjax.arm.kinematics import (
     subtract,
     transform,
 )
-from gnnjax.arm.robot import CAPSULE, Robot
+from gnnjax.arm.robot import Robot
 from gnnjax.collision.exact import WORD, Placed, Touching, exact_test
-from gnnjax.scene.geometry import segment_segment_squared, segment_sum_squared
+from gnnjax.scene.geometry import squared_distance
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 
 # Pairs of the arm's own geometry in one pass of the fused kernel. The compiler turns a pass into a
@@ -51,20 +51,19 @@ def boxes_clear(
     chosen = [g for g in range(len(moved)) if not (base_only and moved[g])]
     if not chosen:
         return jnp.ones(scene.mask.shape, bool)
-    segments = _segments(robot, joint_terms(robot, q))
+    points = _points(robot, joint_terms(robot, q))
 
-    def column(part: int) -> Vector:
-        points = [segments[g][part] or [0.0, 0.0, 0.0] for g in chosen]
-        return [jnp.stack([jnp.asarray(p[a], q.dtype) for p in points])[:, None] for a in range(3)]
+    where = [
+        jnp.stack([jnp.asarray(points[g][a], q.dtype) for g in chosen])[:, None] for a in range(3)
+    ]
 
     def seen_from_obstacle(vector: Vector) -> Vector:
         return [dot(list(to_box), vector) for to_box in turned]
 
     turned = jnp.moveaxis(rotation_matrices(scene.quats), 0, -1).swapaxes(0, 1)
-    offset = seen_from_obstacle(subtract(column(0), list(scene.centers.T)))
-    axis = seen_from_obstacle(column(1)) if CAPSULE in robot.geom_types[chosen] else None
+    offset = seen_from_obstacle(subtract(where, list(scene.centers.T)))
     disc, ball = scene.radii.T
-    squared = segment_sum_squared(offset, axis, list(scene.half_extents.T), disc)
+    squared = squared_distance(offset, list(scene.half_extents.T), disc)
     reach = jnp.asarray(robot.geom_radii[chosen], q.dtype)[:, None] + ball
     return jnp.all(squared > reach**2, axis=0) | ~scene.mask
 
@@ -77,20 +76,14 @@ def moved_by_joint(robot: Robot) -> list[bool]:
     return [b >= 0 and moved[b] for b in robot.geom_bodies.tolist()]
 
 
-def _segments(
-    robot: Robot, joints: Joints, base: Frame = WORLD
-) -> list[tuple[Vector, Vector | None]]:
-    """Centre and half axis (None for a sphere) of every collision geom, m; see `body_frames`."""
+def _points(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Vector]:
+    """Centre of every sphere, m; see `body_frames`."""
     frames = body_frames(robot, joints, base)
-    segments = []
-    for g, body in enumerate(robot.geom_bodies):
+    points = []
+    for body, center in zip(robot.geom_bodies, robot.geom_centers.tolist(), strict=True):
         position, rotation = frames[body] if body >= 0 else base
-        center = transform(position, rotation, robot.geom_centers[g].tolist())
-        axis = None
-        if robot.geom_types[g] == CAPSULE:
-            axis = [dot(row, robot.geom_axes[g].tolist()) for row in rotation]
-        segments.append((center, axis))
-    return segments
+        points.append(transform(position, rotation, center))
+    return points
 
 
 class Levels(NamedTuple):
@@ -155,16 +148,16 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         # one. NaN configurations are refused by the joint limits.
         return jnp.where(a < b, a, b)
 
-    def obstacle_segments(joints, obstacle):
+    def squared_distances(joints, obstacle):
         origin, rotation, half_extents, radii = obstacle
         # Kinematics in the frame of the obstacle are less work than moving every sphere there.
         turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
-        segments = _segments(robot, joints, (list(origin), turned))
+        points = _points(robot, joints, (list(origin), turned))
         for g in moving:
-            yield g, segment_sum_squared(*segments[g], list(half_extents), radii[0]), radii[1]
+            yield g, squared_distance(points[g], list(half_extents), radii[0]), radii[1]
 
     def obstacle_pass(joints, obstacle, smallest, gap, levels):
-        for g, squared, ball in obstacle_segments(joints, obstacle):
+        for g, squared, ball in squared_distances(joints, obstacle):
             smallest = [
                 smaller(gap(squared, radii[g] + ball), least) if radii[g] > 0 else least
                 for least, radii in zip(smallest, levels, strict=True)
@@ -172,9 +165,10 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         return smallest
 
     def self_pass(joints, pairs, smallest, gap, levels):
-        segments = _segments(robot, joints)
+        points = _points(robot, joints)
         for i, j in pairs:
-            squared = segment_segment_squared(*segments[i], *segments[j])
+            offset = subtract(points[i], points[j])
+            squared = dot(offset, offset)
             smallest = [
                 smaller(gap(squared, radii[i] + radii[j]), least)
                 if radii[i] > 0 and radii[j] > 0
@@ -231,7 +225,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             *parts, _ = obstacles
             own = jax.tree.map(lambda x: x[i], parts)
             found = [jnp.zeros(len(q), jnp.uint32)] * num_words[0]
-            for g, squared, ball in obstacle_segments(fresh, own):
+            for g, squared, ball in squared_distances(fresh, own):
                 word, bit = divmod(part_of[g], WORD)
                 hit = squared <= (levels[0][g] + ball) ** 2
                 found[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
@@ -244,11 +238,11 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
 
             def self_turn(_, words, part=part):
                 fresh, words = jax.lax.optimization_barrier((joints, words))
-                segments, words = _segments(robot, fresh), list(words)
+                points, words = _points(robot, fresh), list(words)
                 for i, j in part:
                     word, bit = divmod(pair_of[part_of[i], part_of[j]], WORD)
-                    squared = segment_segment_squared(*segments[i], *segments[j])
-                    hit = squared <= (levels[0][i] + levels[0][j]) ** 2
+                    offset = subtract(points[i], points[j])
+                    hit = dot(offset, offset) <= (levels[0][i] + levels[0][j]) ** 2
                     words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
                 return words
 
@@ -256,7 +250,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         stacked = jnp.stack(pairs) if pairs else jnp.zeros((0, len(q)), jnp.uint32)
         return Touching(parts, stacked)
 
-    is_free_exactly = exact_test(robot) if is_open else None
+    is_free_exactly = exact_test(robot)
 
     def decide(obstacles: _Obstacles, q: jax.Array) -> jax.Array:
         """Whether configurations with obstacles of their own are free, by their parts."""

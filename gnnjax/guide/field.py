@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from gnnjax.arm.kinematics import body_frames, joint_terms, transform
-from gnnjax.arm.robot import CAPSULE, Robot
+from gnnjax.arm.robot import Robot
 from gnnjax.collision.fused import moved_by_joint
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.roadmap.graph import Roadmap
@@ -43,18 +43,9 @@ class _Spheres(NamedTuple):
 
 
 def _spheres(robot: Robot) -> _Spheres:
-    """The arm's moving geoms; capsules as chains of spheres."""
-    bodies, centers, radii = [], [], []
-    for g in np.flatnonzero(moved_by_joint(robot)):
-        steps, radius = np.zeros(1), float(robot.geom_radii[g])
-        if robot.geom_types[g] == CAPSULE:
-            length = 2 * np.linalg.norm(robot.geom_axes[g])
-            steps = np.linspace(-1, 1, int(np.ceil(length / radius)) + 1)
-        for step in steps:
-            bodies.append(int(robot.geom_bodies[g]))
-            centers.append(robot.geom_centers[g] + step * robot.geom_axes[g])
-            radii.append(radius)
-    return _Spheres(tuple(bodies), np.array(centers), np.array(radii))
+    moving = np.flatnonzero(moved_by_joint(robot))
+    bodies = tuple(robot.geom_bodies[moving].tolist())
+    return _Spheres(bodies, robot.geom_centers[moving], robot.geom_radii[moving])
 
 
 def reach_grid(robot: Robot, cells: int = CELLS) -> Grid:
