@@ -175,7 +175,10 @@ def test_clearance_is_the_distance(capsules, tiny):
             found = np.asarray(clearance(scene, q))
             clear = expected > 0
             num_clear += clear.sum()
-            np.testing.assert_allclose(found[clear], expected[clear], atol=1e-4)
+            # Capsules are chains of spheres here, which stand out by an eighth of their radius.
+            thick = 1e-4 if robot is tiny else 0.125 * 0.06 * 2
+            assert (found[clear] <= expected[clear] + 1e-4).all()
+            assert (found[clear] >= expected[clear] - thick).all()
             assert (found[~clear] < 1e-4).all()
         assert num_clear > 50
 

@@ -111,7 +111,9 @@ class Pairs:
         args = [jnp.asarray(self.part), *self.pose()]
         direction = args[1] + 0.01
         if with_parts:
-            found = jax.jit(separate_parts)(parts, *args, jnp.asarray(self.other), direction)
+            margin = jnp.zeros(len(self.other))
+            other = jnp.asarray(self.other)
+            found = jax.jit(separate_parts)(parts, *args, other, direction, margin)
         else:
             found = jax.jit(separate_obstacles)(parts, *args, self.obstacles(), direction)
         return np.asarray(found.gaps), np.asarray(found.directions)

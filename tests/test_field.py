@@ -8,14 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import rankdata
 
-from gnnjax.arm.robot import CAPSULE, load_robot
+from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import moved_by_joint
 from gnnjax.guide.field import (
     CALIBRATION,
     SPACING,
     _keys,
-    _spheres,
     field_guide,
     margin_function,
     reach_grid,
@@ -24,7 +23,6 @@ from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.field import Grid, cell_of, distance_field, make_grid
 from gnnjax.scene.scene import Scene, make_scene
 from tests.fine_scan import random_scene
-from tests.test_collision import CAPSULES
 
 GRID = Grid((-0.5, -0.4, 0.1), 0.1, (10, 7, 5))
 
@@ -146,18 +144,17 @@ def test_a_point_is_in_the_cell_whose_center_is_nearest():
     assert 0 <= int(cell_of(GRID, [jnp.nan, 1e30, -1e30])) < GRID.num_cells
 
 
-def geom_places(robot, q):
-    """Where MuJoCo has the centres `[B G 3]` and axes `[B G 3]` of the moving geoms, m."""
+def sphere_places(robot, q):
+    """Where MuJoCo has the centres `[B G 3]` of the moving spheres, m, and their radii."""
     data, rows = mujoco.MjData(robot.mj_model), np.flatnonzero(moved_by_joint(robot))
-    places = []
+    bodies, places = robot.geom_bodies[rows] + 1, []  # the first of MuJoCo's is the world
     for row in np.asarray(q, float):
         data.qpos[:] = row
         mujoco.mj_kinematics(robot.mj_model, data)
-        axes = data.geom_xmat.reshape(-1, 3, 3)[robot.geom_ids[rows], :, 2]
-        half = np.linalg.norm(robot.geom_axes[rows], axis=1)
-        places.append((data.geom_xpos[robot.geom_ids[rows]], axes * half[:, None]))
-    centers, axes = (np.array(part) for part in zip(*places, strict=True))
-    return centers, axes, robot.geom_radii[rows]
+        turns = data.xmat.reshape(-1, 3, 3)[bodies]
+        turned = np.einsum("sij,sj->si", turns, robot.geom_centers[rows])
+        places.append(data.xpos[bodies] + turned)
+    return np.array(places), robot.geom_radii[rows]
 
 
 def plain_margins(grid, field, centers, radii):
@@ -180,7 +177,7 @@ def random_configurations(robot, rng, num):
 
 def test_margins_are_what_mujoco_and_the_field_say(robot, grid, margin, readings):
     q = random_configurations(robot, np.random.default_rng(2), 300)
-    centers, _, radii = geom_places(robot, q)
+    centers, radii = sphere_places(robot, q)
     for field in readings:
         least, most = plain_margins(grid, field, centers, radii)
         found = np.asarray(margin(field, q))
@@ -192,7 +189,7 @@ def test_margins_are_what_mujoco_and_the_field_say(robot, grid, margin, readings
 
 
 def test_the_grid_holds_whatever_the_arm_reaches(robot, grid):
-    centers, _, _ = geom_places(robot, random_configurations(robot, np.random.default_rng(3), 500))
+    centers, _ = sphere_places(robot, random_configurations(robot, np.random.default_rng(3), 500))
     outside = np.maximum(grid.lower - centers, 0)
     upper = np.array(grid.lower) + np.array(grid.shape) * grid.cell
     outside = np.maximum(outside, centers - upper)
@@ -200,62 +197,6 @@ def test_the_grid_holds_whatever_the_arm_reaches(robot, grid):
     assert max(grid.shape) == 24
     # No side is longer than what is reached, by more than a cell.
     assert (np.ptp(centers, axis=(0, 1)) > upper - grid.lower - 2 * grid.cell).all()
-
-
-@pytest.fixture(scope="module")
-def capsules(tmp_path_factory):
-    path = tmp_path_factory.mktemp("robots") / "capsules.xml"
-    path.write_text(CAPSULES)
-    return load_robot(path)
-
-
-def test_capsules_are_chains_of_spheres_within_them_that_cover_their_axes(capsules):
-    spheres = _spheres(capsules)
-    moving = np.flatnonzero(moved_by_joint(capsules))
-    assert set(spheres.bodies) == set(capsules.geom_bodies[moving].tolist())
-    chains = 0
-    for g in moving:
-        own = np.array(spheres.bodies) == capsules.geom_bodies[g]  # one geom a body
-        centers, axis = spheres.centers[own] - capsules.geom_centers[g], capsules.geom_axes[g]
-        radius = capsules.geom_radii[g]
-        np.testing.assert_array_equal(spheres.radii[own], radius)
-        line = np.linspace(-1, 1, 201)[:, None] * axis
-        apart = np.linalg.norm(line[:, None] - centers, axis=-1)
-        # A sphere of the capsule's radius lies within it if its centre is on the segment.
-        along = centers @ axis / max(axis @ axis, 1e-9)
-        np.testing.assert_allclose(centers, along[:, None] * axis, atol=1e-12)
-        assert (np.abs(along) <= 1 + 1e-12).all()
-        assert apart.min(axis=1).max() <= radius / 2 + 1e-9
-        chains += own.sum() > 1
-        assert own.sum() == 1 or capsules.geom_types[g] == CAPSULE
-    assert chains == 3
-
-
-def test_margins_of_capsules_are_those_of_their_chains_and_near_those_of_their_axes(capsules):
-    grid = reach_grid(capsules)
-    rng = np.random.default_rng(4)
-    field = jax.jit(distance_field(grid))(random_scene(rng, 9))
-    q = random_configurations(capsules, rng, 200)
-    found = np.asarray(jax.jit(margin_function(capsules, grid))(field, q))
-    spheres, data, chains = _spheres(capsules), mujoco.MjData(capsules.mj_model), []
-    bodies = np.array(spheres.bodies) + 1  # the first of MuJoCo's is the world
-    assert len(bodies) > 16  # more than two passes
-    for row in q:
-        data.qpos[:] = row
-        mujoco.mj_kinematics(capsules.mj_model, data)
-        turned = np.einsum("sij,sj->si", data.xmat.reshape(-1, 3, 3)[bodies], spheres.centers)
-        chains.append(data.xpos[bodies] + turned)
-    least, most = plain_margins(grid, field, np.array(chains), spheres.radii)
-    assert (found >= least - 1e-6).all()
-    assert (found <= most + 1e-6).all()
-    assert (least == most).mean() > 0.99
-    # Between two spheres of a chain, half a radius from either at most, the field drops by no more
-    # than the way and what two cells leave open.
-    centers, axes, radii = geom_places(capsules, q)
-    line = centers[:, :, None] + np.linspace(-1, 1, 41)[:, None] * axes[:, :, None]
-    axis = plain_margins(grid, field, line.reshape(len(q), -1, 3), np.repeat(radii, 41))[1]
-    assert (found <= axis + radii.max() / 2 + np.sqrt(3) * grid.cell).all()
-    assert (found < 0).any()
 
 
 def softplus(margins):
@@ -275,7 +216,7 @@ def test_stored_prices_are_those_of_the_places_along_each_edge(
     low, high = np.sort(np.stack([first, neighbors[first, slot]]), axis=0)
     fraction = np.linspace(0, 1, pieces + 1)[:, None]
     places = nodes[low][:, None] + fraction * (nodes[high] - nodes[low])[:, None]
-    centers, _, radii = geom_places(robot, places.reshape(-1, 3))
+    centers, radii = sphere_places(robot, places.reshape(-1, 3))
     centers = centers.reshape(len(first), -1, 3)
     radii = np.tile(radii, pieces + 1)
     for field, price in zip(readings, prices[1], strict=True):

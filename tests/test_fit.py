@@ -10,7 +10,7 @@ import pytest
 
 from gnnjax.arm.covers import OVERSHOOT, cover_parts
 from gnnjax.arm.fit import Hull, fit_covers, grown
-from gnnjax.arm.parts import CAPSULE, SPHERE, Part
+from gnnjax.arm.parts import Part
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.fit import FitConfig, fit
@@ -124,17 +124,25 @@ def parts():
     ]
 
 
-def test_round_parts_are_their_own_covers():
+def test_round_parts_cover_themselves_and_others_are_fitted():
     rows = cover_parts(parts())
-    for number, kind in ((0, SPHERE), (2, CAPSULE)):
-        (row,) = np.flatnonzero(rows.parts == number)
-        assert rows.types[row] == kind
-        assert rows.radii[row] == rows.inner_radii[row] == parts()[number].radius
-        ends = rows.centers[row] + rows.axes[row] * [[-1], [1]]
-        np.testing.assert_allclose(ends[[0, -1]], parts()[number].vertices[[0, -1]])
+    (ball,) = np.flatnonzero(rows.parts == 0)
+    assert rows.radii[ball] == rows.inner_radii[ball] == 0.05
+    # A capsule is a chain along its axis, whose spheres hold it and hardly more.
+    own = rows.parts == 2
+    stick = parts()[2]
+    np.testing.assert_array_equal(rows.inner_radii[own], stick.radius)
+    np.testing.assert_allclose(rows.centers[own][[0, -1]], stick.vertices)
+    assert (np.linalg.norm(np.diff(rows.centers[own], axis=0), axis=1) <= stick.radius).all()
+    line = np.linspace(*stick.vertices, 301)
+    around = np.array([0, np.pi / 3, 1.7])
+    rim = stick.radius * np.stack([np.cos(around), 0 * around, np.sin(around)], axis=1)
+    surface = (line[:, None] + rim).reshape(-1, 3)
+    apart = np.linalg.norm(surface[:, None] - rows.centers[own], axis=-1) - rows.radii[own]
+    assert apart.min(axis=1).max() < 1e-9
+    assert (rows.radii[own] < 1.12 * stick.radius).all()
     for number in (1, 3):
         own = rows.parts == number
-        assert (rows.types[own] == SPHERE).all()
         assert (rows.inner_radii[own] < rows.radii[own]).all()
         assert (rows.radii - rows.inner_radii)[own].max() <= OVERSHOOT or own.sum() > 3
 
@@ -191,7 +199,7 @@ def test_the_command_shows_and_saves_spheres_that_load_as_the_same_arm(tmp_path,
     assert "pairs of spheres" in printed
     assert picture.stat().st_size > 10_000
     saved = load_robot(out)
-    assert set(saved.geom_types.tolist()) == {SPHERE}
+    assert (saved.geom_inner_radii == saved.geom_radii).all()
     assert len(saved.geom_radii) == len(robot.geom_radii)
     assert len(saved.self_pairs) == len(robot.self_pairs)
     fitted = robot.geom_inner_radii < robot.geom_radii

@@ -126,10 +126,11 @@ def test_kernels_and_certificate_agree_with_the_c_engine_on_every_kind(arm, tiny
         sure = np.abs(nearest) > 1e-4
         np.testing.assert_array_equal(valid[sure], (nearest > 0)[sure])
         clear = (nearest > 1e-4) & (nearest < 5)
-        np.testing.assert_allclose(found[clear], nearest[clear], atol=2e-5)
-        # Capsules of the arm are chains of spheres that enclose them, for the certificate.
-        proven = clearances(robot, scene, q)
+        # Capsules of the arm are chains of spheres that enclose them.
         thick = 0.0 if arm == "tiny" else 0.01
+        assert (found[clear] <= nearest[clear] + 2e-5).all()
+        assert (found[clear] >= nearest[clear] - thick - 2e-5).all()
+        proven = clearances(robot, scene, q)
         assert (proven[clear] <= nearest[clear] + 1e-5).all()
         assert (proven[clear] >= nearest[clear] - thick - 1e-5).all()
         assert (proven[nearest < -1e-4] <= 0).all()

@@ -36,12 +36,12 @@ def test_files_that_the_texts_name_exist():
 # Imports go down this list only.
 ORDER = """
 interruption errors files devices
-arm.parts arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.covers arm.contacts arm.robot
-arm.kinematics arm.hulls
+arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.covers arm.contacts
+arm.robot arm.kinematics
 scene.shapes scene.scene scene.scene_file scene.geometry scene.field scene.mujoco_world
-collision.convex collision.exact collision.components collision.fused collision.mjx collision.checker
-collision.sequences collision.obstacles collision.hulls collision.bounds
-collision.gaps collision.certify
+collision.simplex collision.convex collision.exact collision.components collision.fused
+collision.mjx collision.checker collision.sequences collision.obstacles collision.hulls
+collision.bounds collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten

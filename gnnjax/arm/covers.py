@@ -1,7 +1,8 @@
 """Covers: the spheres that the fast tests have in place of an arm's parts.
 
-A part that is a sphere is its own cover, and a capsule a chain. Others get spheres (`fit.py`), which takes a
-second or two a part; so covers are kept in the user's cache folder, each as soon as it is there.
+A part that is a sphere is its own cover, and a capsule a chain. Others get spheres (`fit.py`),
+which takes a second or two a part; so covers are kept in the user's cache folder, each as soon as
+it is there.
 """
 
 import hashlib

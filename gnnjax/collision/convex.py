@@ -105,11 +105,13 @@ def separate_parts(
     rotation: Float[Array, "3 3 N"],
     other: Int[Array, " N"],
     direction: Float[Array, "3 N"],
+    margin: Float[Array, " N"],
 ) -> Separation:
     """Bounds how far parts are from other parts; see `separate_obstacles`.
 
     Args:
         other: the part from whose body the pair is seen.
+        margin: what is not farther apart counts as touching, m.
     """
     # Both in one pass: half as much to compile.
     vertices, reach = _of_each(parts, jnp.concatenate([part, other]))
@@ -122,7 +124,7 @@ def separate_parts(
         return subtract(seen, [y for _, y in lowest])
 
     size = jnp.sum(jnp.abs(position), axis=0) + sum(jnp.split(reach, 2))
-    radii = parts.radii[part] + parts.radii[other]
+    radii = parts.radii[part] + parts.radii[other] + margin
     middles = _middles(parts)
     inner = transform(list(position), rows, list(middles[part].T))
     return _separate(support, subtract(inner, list(middles[other].T)), radii, size, list(direction))

@@ -19,7 +19,7 @@ from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 
-SIMPLER = 5e-4  # m; by which the hulls that are tested may stand out of the true ones
+SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
 _PAIRS_AT_ONCE = 64  # that are tested; as many wait until these are decided
 WORD = 32  # bits
 
