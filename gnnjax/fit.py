@@ -15,6 +15,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from gnnjax.arm.covers import Rows, cover_file, save_cover
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_target
@@ -30,6 +31,8 @@ class FitConfig:
     """Shipped robot, or path of an MJCF (.xml) or URDF (.urdf)."""
     out: Path | None = None
     """An MJCF (.xml) of the arm with these spheres as its collision geometry."""
+    keep: bool = False
+    """Write the spheres beside the arm's file, where they are found at the next load."""
     picture: Path | None = None
     """Where a picture of the links and their spheres goes (needs the viz extra)."""
 
@@ -60,6 +63,10 @@ def fit(config: FitConfig) -> Robot:
     if draw_cover is not None and config.picture is not None:
         draw_cover(robot, config.picture)
         print(f"wrote {config.picture}")
+    if config.keep:
+        rows = Rows(robot.geom_parts, robot.geom_centers, robot.geom_radii, robot.geom_inner_radii)
+        save_cover(cover_file(robot.path), robot.parts, rows)
+        print(f"wrote {cover_file(robot.path)}")
     if config.out is not None:
         text = mjcf_of_spheres(robot)
         atomic_write(config.out, lambda file: file.write_text(text, encoding="utf-8"))

@@ -15,7 +15,8 @@ import numpy as np
 
 from gnnjax.arm.fit import Cover, fit_covers
 from gnnjax.arm.parts import Part
-from gnnjax.files import atomic_write, cache_folder
+from gnnjax.errors import InputError
+from gnnjax.files import atomic_write, cache_folder, read_arrays
 
 _LOG = logging.getLogger(__name__)
 
@@ -25,6 +26,7 @@ _MOST_OF_ALL, _MOST_EACH = (
     60,
     3,
 )  # spheres of an arm, or of its parts in the mean, if these are many
+_SAME = 1e-6  # m; by which hulls that are taken for the same may differ
 _VERSION = 1  # of the fit; covers of another one are fitted anew
 
 
@@ -37,9 +39,15 @@ class Rows(NamedTuple):
     inner_radii: np.ndarray  # [G] m, of the ball about the same centre that is inside the part
 
 
-def cover_parts(parts: Sequence[Part]) -> Rows:
-    """Covers parts by spheres, in their order: round ones by themselves or a chain."""
-    covers = iter(_share(_fitted([part for part in parts if len(part.vertices) > 2])))
+def cover_parts(parts: Sequence[Part], kept: Path | None = None) -> Rows:
+    """Covers parts by spheres, in their order: round ones by themselves or a chain.
+
+    Args:
+        parts: of an arm.
+        kept: file of `save_cover`, whose spheres are taken if it is there and of these parts.
+    """
+    angular = [part for part in parts if len(part.vertices) > 2]
+    covers = iter(_read_cover(kept, angular) or _share(_fitted(angular)))
     rows = []
     for number, part in enumerate(parts):
         cover = next(covers) if len(part.vertices) > 2 else _chain(part)
@@ -58,6 +66,58 @@ def _chain(part: Part) -> Cover:
     radius = np.hypot(part.radius, apart / 2) if pieces else part.radius
     num = len(centers)
     return Cover(centers, np.full(num, radius), np.full(num, part.radius))
+
+
+def cover_file(path: Path) -> Path:
+    """Where spheres are kept beside an arm's file."""
+    return path.with_name(f"{path.stem}_cover.npz")
+
+
+def save_cover(file: Path, parts: Sequence[Part], rows: Rows) -> None:
+    """Writes the spheres of the parts that are not round, for `cover_parts`."""
+    arrays = {}
+    for number, part in enumerate(parts):
+        if len(part.vertices) > 2:
+            own = rows.parts == number
+            table = np.column_stack([rows.centers, rows.radii, rows.inner_radii])[own]
+            arrays[part.name], arrays[f"{part.name}/hull"] = table, _summary(part)
+
+    def write(out: Path) -> None:
+        with open(out, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+
+    atomic_write(file, write)
+
+
+def _read_cover(file: Path | None, parts: Sequence[Part]) -> list[Cover]:
+    """The covers in a file, or none where there is none or it is of other parts."""
+    if file is None or not file.is_file():
+        return []
+    arrays, covers = read_arrays(file), []
+    for part in parts:
+        table, hull = arrays.get(part.name), arrays.get(f"{part.name}/hull")
+        expected = _summary(part)
+        if table is None or hull is None or hull.shape != expected.shape:
+            return []
+        if np.abs(hull - expected).max() > _SAME or table.ndim != 2 or table.shape[1] != 5:
+            return []
+        # A little larger, for what may differ between machines.
+        cover = Cover(table[:, :3], table[:, 3] + _SAME, table[:, 4] - _SAME)
+        apart = np.linalg.norm(part.vertices[:, None] - cover.centers, axis=-1) + part.radius
+        if not (apart <= cover.radii).any(axis=1).all():
+            raise InputError(
+                f"the spheres of {part.name} in {str(file)!r} do not enclose it; remove that file"
+            )
+        covers.append(cover)
+    return covers
+
+
+def _summary(part: Part) -> np.ndarray:
+    """What tells a hull from another one."""
+    corners = part.vertices
+    moments = (corners - corners.mean(axis=0)).T @ (corners - corners.mean(axis=0)) / len(corners)
+    ends = corners.min(axis=0), corners.max(axis=0), corners.mean(axis=0)
+    return np.concatenate([*ends, np.sqrt(np.abs(moments.ravel())), [part.radius, len(corners)]])
 
 
 def _share(choices: list[list[Cover]]) -> list[Cover]:

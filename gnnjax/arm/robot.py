@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
-from gnnjax.arm.covers import cover_parts
+from gnnjax.arm.covers import cover_file, cover_parts
 from gnnjax.arm.joints import joint_name
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom, quat_to_matrix
@@ -167,8 +167,10 @@ def _load(
         raise
     except ValueError as error:
         raise InputError(f"MuJoCo cannot read {str(path)!r}: {str(error).strip()}") from None
+    # Of shipped arms it is known.
+    level = logging.INFO if path.parent == assets_dir() else logging.WARNING
     for note in robot.notes:
-        _LOG.warning("%s: %s", robot.name, note)
+        _LOG.log(level, "%s: %s", robot.name, note)
     return robot
 
 
@@ -213,7 +215,7 @@ def _robot_of(
         named = ", ".join(f"{a} and {b}" for a, b in allowed)
         notes = *notes, f"parts that always touch, or do at home, may: {named}"
 
-    rows = cover_parts(parts)
+    rows = cover_parts(parts, cover_file(path))
     of_part = [np.flatnonzero(rows.parts == number) for number in range(len(parts))]
     row_pairs = [
         np.sort(np.stack(np.meshgrid(of_part[a], of_part[b]), axis=-1).reshape(-1, 2), axis=1)
