@@ -97,16 +97,17 @@ def _render(robot: Robot, problem: Problem, on_one_side: bool) -> np.ndarray:
 def _add_arm(shown: mujoco.MjvScene, model, data, geoms: np.ndarray) -> None:
     """Adds an arm's geoms, where they are now, to what is rendered."""
     for g in geoms:
-        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
-            continue
+        geom = shown.geoms[shown.ngeom]
         mujoco.mjv_initGeom(
-            shown.geoms[shown.ngeom],
+            geom,
             int(model.geom_type[g]),
             model.geom_size[g],
             data.geom_xpos[g],
             data.geom_xmat[g],
             model.geom_rgba[g],
         )
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
+            geom.dataid = 2 * model.geom_dataid[g]  # as the renderer has it
         shown.ngeom += 1
 
 

@@ -1,13 +1,12 @@
 """Arms of all kinds: parts of any shape, joints that are held, pairs that always touch."""
 
-import dataclasses
 import logging
 
 import mujoco
 import numpy as np
 import pytest
 
-from gnnjax.arm.robot import load_robot
+from gnnjax.arm.robot import assets_dir, load_robot
 from gnnjax.errors import InputError
 
 GRIPPER = """
@@ -320,13 +319,16 @@ def test_an_arm_that_can_but_collide_with_itself_is_refused_with_the_remedy(tmp_
         load_robot(path)
 
 
-def test_shipped_arms_are_left_as_they_are(caplog):
+def test_shipped_arms_have_the_spheres_that_are_shipped(caplog):
     for name in ("kuka_iiwa14", "franka_panda", "kinova_gen3"):
         robot = load_robot(name)
-        assert robot.notes == robot.allowed_pairs == ()
-        assert not robot.held
-        np.testing.assert_array_equal(robot.geom_inner_radii, robot.geom_radii)
-        np.testing.assert_array_equal(robot.geom_parts, np.arange(len(robot.geom_ids)))
-        np.testing.assert_array_equal(robot.part_pairs, robot.self_pairs)
-        assert dataclasses.is_dataclass(robot)
+        fingers = ["finger_joint_1", "finger_joint_2"] if name == "franka_panda" else []
+        assert list(robot.held) == fingers
+        assert len(robot.notes) == bool(fingers)
+        assert robot.allowed_pairs == ()
+        with np.load(assets_dir() / f"{name}_cover.npz") as kept:
+            radii = np.concatenate([kept[part.name][:, 3] for part in robot.parts])
+        np.testing.assert_allclose(robot.geom_radii, radii, atol=2e-6)
+        inner, outer = robot.geom_inner_radii, robot.geom_radii
+        assert 0.8 < (inner < outer).mean()  # one sphere is a point inside
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING]

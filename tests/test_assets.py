@@ -1,15 +1,19 @@
-"""The arms in assets/: figures, kinematics, and what their collision spheres promise.
+"""The arms in assets/: figures, kinematics, and what their hulls and spheres promise.
 
 The figures below are those of the manufacturers (sources in the MJCF headers), written down a
 second time, and the kinematics are done again in NumPy, so that a slip in an MJCF shows.
 """
 
 import dataclasses
+import itertools
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull, cKDTree
+
+from gnnjax.arm.robot import load_robot
 
 ROOT = Path(__file__).parents[1]
 HALF_TURN = np.pi
@@ -27,6 +31,9 @@ class Link:
     limit: float | tuple[float, float] = 0.0  # rad, either way or each; 0 has no joint
     velocity: float = 0.0  # rad/s
     torque: float = 0.0  # N m
+    opens: tuple[float, float] | None = None  # m; how far a finger slides along its y axis
+    parent: str = ""  # if it is not the link before
+    hull: str = ""  # if it is not called as the link
 
 
 # fmt: off
@@ -64,8 +71,8 @@ KINOVA = (
     Link("bracelet_link", (0, 0.10593, -0.00017505), (QUARTER, 0, 0), 0.364,
          (-0.000093, 0.000132, -0.022905), (0.000214, 0.000223, 0.00024), np.pi, 1.2218, 9),
 )
-# The last two are the hand and the closed fingers. Link 5 is two bodies, as the hull of the
-# whole fills the hollow between forearm and wrist, where the hand may go.
+# The last three are the hand and its fingers, as far apart as they slide. Link 5 is two bodies, as
+# the hull of the whole fills the hollow between forearm and wrist, where the hand may go.
 PANDA = (
     Link("link_0", (0, 0, 0), (0, 0, 0), 0.629769, (-0.041018, -0.00014, 0.049974),
          (0.00315, 0.00388, 0.004285, 8.2904e-7, 0.00015, 8.2299e-6)),
@@ -89,18 +96,38 @@ PANDA = (
          (0.012516, 0.010027, 0.004815, -0.000428, -0.001196, -0.000741), 2.8973, 2.61, 12),
     Link("hand", (0, 0, 0.107), (0, 0, -np.pi / 4), 0.73, (-0.01, 0, 0.03),
          (0.001, 0.0025, 0.0017)),
-    Link("fingers", (0, 0, 0.0584), (0, 0, 0), 0.03, (0, 0, 0), (4.75e-6, 4.75e-6, 1.5e-6)),
+    Link("left_finger", (0, 0, 0.0584), (0, 0, 0), 0.015, (0, 0, 0), (2.375e-6, 2.375e-6, 7.5e-7),
+         opens=(0, 0.065), hull="finger"),
+    Link("right_finger", (0, 0, 0.0584), (0, 0, np.pi), 0.015, (0, 0, 0),
+         (2.375e-6, 2.375e-6, 7.5e-7), opens=(0, 0.065), parent="hand", hull="finger"),
 )
 # fmt: on
 ARMS = {"kuka_iiwa14": KUKA, "kinova_gen3": KINOVA, "franka_panda": PANDA}
-# Tool frames in the last link: position and turn.
+# Tool frames: link, position and turn in it.
 TOOLS = {
-    "kuka_iiwa14": ((0, 0, 0.045), (1, 0, 0, 0)),
-    "kinova_gen3": ((0, 0, -0.061525), (HALF_TURN, 0, HALF_TURN)),
-    "franka_panda": ((0, 0, 0.045), (1, 0, 0, 0)),
+    "kuka_iiwa14": ("link_7", (0, 0, 0.045), (1, 0, 0, 0)),
+    "kinova_gen3": ("bracelet_link", (0, 0, -0.061525), (HALF_TURN, 0, HALF_TURN)),
+    "franka_panda": ("hand", (0, 0, 0.1034), (1, 0, 0, 0)),
 }
-MOST_SPHERES = {"kuka_iiwa14": 50, "kinova_gen3": 50, "franka_panda": 50}  # of the links that move
-MOST_PAIRS = 400
+OPENINGS = (0.0, 0.04, 0.065)  # m, of each finger
+
+
+@dataclasses.dataclass(frozen=True)
+class Spheres:
+    """What the headers say of the spheres around the hulls."""
+
+    moving: int  # number of those on links that move
+    base: int
+    pairs: int  # for self-collision
+    overshoot: float  # m; by which those of links that move stand out of the hulls at most
+    base_overshoot: float
+
+
+SPHERES = {
+    "kuka_iiwa14": Spheres(45, 8, 80, 0.025, 0.0396),
+    "kinova_gen3": Spheres(36, 2, 88, 0.025, 0.0395),
+    "franka_panda": Spheres(42, 5, 438, 0.0255, 0.040),
+}
 # Hulls fill the hollow in front of the wrist, which the real links do not.
 HULL_ARTEFACTS = {
     "kuka_iiwa14": {("link_5", "link_7")},
@@ -125,26 +152,14 @@ def model(arm):
 
 
 @pytest.fixture(scope="module")
-def hulls(arm, links):
-    with np.load(ROOT / "tests" / "data" / f"{arm}_hulls.npz") as data:
-        return {link.name: data[link.name].astype(np.float64) for link in links}
+def robot(arm):
+    return load_robot(arm)
 
 
 @pytest.fixture(scope="module")
-def hull_model(arm, hulls):
-    """The arm with its hulls as further geoms, hull/LINK, which collide with nothing."""
-    spec = mujoco.MjSpec.from_file(str(ROOT / "assets" / f"{arm}.xml"))
-    for name, vertices in hulls.items():
-        spec.add_mesh(name=f"hull/{name}", uservert=vertices.ravel())
-        spec.body(name).add_geom(
-            name=f"hull/{name}",
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=f"hull/{name}",
-            contype=0,
-            conaffinity=0,
-            mass=0,
-        )
-    return spec.compile()
+def hulls(arm, links):
+    with np.load(ROOT / "tests" / "data" / f"{arm}_hulls.npz") as data:
+        return {link.name: data[link.hull or link.name].astype(np.float64) for link in links}
 
 
 def rotation(turn):
@@ -165,12 +180,11 @@ def rotation(turn):
     return yaw @ pitch @ roll
 
 
-def spheres_of(model, name):
-    """Centers [S, 3] and radii [S] of a link's collision geoms, which must all be spheres."""
-    own = model.geom_bodyid == model.body(name).id
-    own &= (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    assert (model.geom_type[own] == mujoco.mjtGeom.mjGEOM_SPHERE).all()
-    return model.geom_pos[own], model.geom_size[own, 0]
+def spheres_of(robot, name):
+    """Centers [S, 3] and radii [S], outer and inner, of the spheres around a link, in its frame."""
+    (number,) = (i for i, part in enumerate(robot.parts) if part.name == name)
+    rows = robot.geom_parts == number
+    return robot.geom_centers[rows], robot.geom_radii[rows], robot.geom_inner_radii[rows]
 
 
 def excluded_pairs(model):
@@ -193,38 +207,40 @@ def kept_pairs(model, links):
 
 def hull_distance(model, data, pair):
     """Of the hulls at the configuration in `data`; negative where they overlap."""
-    first, second = (model.geom(f"hull/{name}").id for name in pair)
+    first, second = (model.geom(name).id for name in pair)
     return mujoco.mj_geomDistance(model, data, first, second, 1.0, None)
 
 
-def folded_configurations(model, count, rng):
-    """Random, with about every third joint at a limit, where links come closest."""
+def configurations(model, count, rng, *, folded=False):
+    """Random; if folded, with about every third joint at a limit, where links come closest."""
     lower, upper = model.jnt_range.T
     q = rng.uniform(lower, upper, size=(count, model.njnt))
-    ends = np.where(rng.uniform(size=q.shape) < 0.5, lower, upper)
-    return np.where(rng.uniform(size=q.shape) < 0.3, ends, q)
+    if folded:
+        ends = np.where(rng.uniform(size=q.shape) < 0.5, lower, upper)
+        q = np.where(rng.uniform(size=q.shape) < 0.3, ends, q)
+    fingers = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    q[:, fingers] = rng.choice(OPENINGS, size=(count, 1))
+    return q
 
 
-def triangles_of(hull_model, name):
-    """Faces [T, 3, 3] of a link's hull, in the link's frame."""
-    mesh = hull_model.mesh(f"hull/{name}")
+def place(model, data, q):
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+
+
+def triangles_of(model, name):
+    """Faces [T, 3, 3] of a link's mesh, in the link's frame."""
+    geom = model.geom(name)  # MuJoCo moves a mesh to its principal axes
+    mesh = model.mesh(geom.dataid[0])
     first, count = mesh.faceadr[0], mesh.facenum[0]
-    corners = hull_model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
-    geom = hull_model.geom(f"hull/{name}")  # MuJoCo moves a mesh to its principal axes
+    corners = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
     corners = corners.astype(np.float64) @ rotation(geom.quat).T + geom.pos
-    return corners[hull_model.mesh_face[first : first + count]]
+    return corners[model.mesh_face[first : first + count]]
 
 
-def depth(points, triangles):
-    """Distance of points inside a hull to its surface; negative outside."""
-    a, b, c = triangles.transpose(1, 0, 2)
-    normals = np.cross(b - a, c - a)
-    area = np.linalg.norm(normals, axis=1)
-    normals = normals[area > 1e-12] / area[area > 1e-12, None]
-    normals *= np.sign(((a[area > 1e-12] - triangles.mean(axis=(0, 1))) * normals).sum(1))[:, None]
-    # Planes that support the hull: a face's normal that is off by rounding then does no harm.
-    offsets = (normals @ triangles.reshape(-1, 3).T).max(axis=1)
-    return (offsets - points @ normals.T).min(axis=1)
+def depth(points, hull):
+    """Distance of points inside a `ConvexHull` to its surface; negative outside."""
+    return -(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
 
 
 def surface_samples(triangles, spacing):
@@ -263,39 +279,49 @@ def test_bodies_and_inertias_are_the_published_ones(model, links):
 
 
 def test_joints_have_the_published_limits(model, links):
-    moving = [link for link in links if link.limit]
-    assert model.njnt == model.nu == len(moving)
+    moving = [link for link in links if link.limit or link.opens]
+    turning = [link for link in links if link.limit]
+    assert model.njnt == len(moving)
     limits = [
-        link.limit if isinstance(link.limit, tuple) else (-link.limit, link.limit)
+        link.opens or (link.limit if isinstance(link.limit, tuple) else (-link.limit, link.limit))
         for link in moving
     ]
     np.testing.assert_allclose(model.jnt_range, limits, atol=1e-6)
     assert model.jnt_limited.all()
-    assert (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).all()
-    np.testing.assert_array_equal(model.jnt_axis, np.tile([0, 0, 1], (model.njnt, 1)))
+    slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    assert slides.tolist() == [link.opens is not None for link in moving]
+    assert (slides | (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)).all()
+    np.testing.assert_array_equal(model.jnt_axis, np.where(slides[:, None], [0, 1, 0], [0, 0, 1]))
     np.testing.assert_allclose(
-        model.numeric("velocity_limit").data, [link.velocity for link in moving]
+        model.numeric("velocity_limit").data, [link.velocity for link in turning]
     )
-    torque = np.array([link.torque for link in moving])
-    np.testing.assert_allclose(model.actuator_forcerange, np.stack([-torque, torque], 1))
-    np.testing.assert_array_equal(model.actuator_trnid[:, 0], np.arange(model.njnt))
+    torque = np.array([link.torque for link in turning])
+    ranges = np.stack([-torque, torque], 1)
+    np.testing.assert_allclose(model.actuator_forcerange[: len(turning)], ranges)
+    # One motor drives both fingers.
+    assert model.nu == len(turning) + any(slides)
+    np.testing.assert_array_equal(model.actuator_trnid[:, 0], np.arange(model.nu))
 
 
 def test_forward_kinematics_agree_with_numpy(arm, model, links):
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     for q in rng.uniform(*model.jnt_range.T, size=(200, model.njnt)):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-        position, turn, angles = np.zeros(3), np.eye(3), iter(q)
+        place(model, data, q)
+        frames, before, angles = {"": (np.zeros(3), np.eye(3))}, "", iter(q)
         for link in links:
+            position, turn = frames[link.parent or before]
             position = position + turn @ np.asarray(link.pos)
             turn = turn @ rotation(link.turn)
             if link.limit:
                 turn = turn @ rotation((0, 0, next(angles)))
+            if link.opens:
+                position = position + turn @ (0, next(angles), 0)
+            frames[link.name], before = (position, turn), link.name
             body = data.body(link.name)
             np.testing.assert_allclose(body.xpos, position, atol=1e-5, err_msg=link.name)
             np.testing.assert_allclose(body.xmat.reshape(3, 3), turn, atol=1e-5)
-        offset, tool_turn = TOOLS[arm]
+        last, offset, tool_turn = TOOLS[arm]
+        position, turn = frames[last]
         np.testing.assert_allclose(data.site("tool").xpos, position + turn @ offset, atol=1e-5)
         np.testing.assert_allclose(
             data.site("tool").xmat.reshape(3, 3), turn @ rotation(tool_turn), atol=1e-5
@@ -319,7 +345,7 @@ def test_flange_of_the_panda_agrees_with_its_dh_parameters():
     samples = rng.uniform(*model.jnt_range.T, size=(50, model.njnt))
     for q in (model.key("home").qpos, *samples):
         pose = np.eye(4)
-        for (a, d, alpha), theta in zip(table, (*q, 0.0), strict=True):
+        for (a, d, alpha), theta in zip(table, (*q[:7], 0.0), strict=True):
             (c, s), (ca, sa) = (np.cos(theta), np.sin(theta)), (np.cos(alpha), np.sin(alpha))
             pose = pose @ [
                 [c, -s, 0, a],
@@ -339,57 +365,74 @@ def test_flange_of_the_panda_agrees_with_its_dh_parameters():
         )
 
 
-def test_spheres_enclose_the_hulls(model, hull_model, links):
+def test_meshes_are_the_hulls(model, robot, hulls):
+    assert [part.name for part in robot.parts] == list(hulls)
+    for part in robot.parts:
+        expected, hull = hulls[part.name], ConvexHull(hulls[part.name])
+        # As far as an OBJ file and single precision tell.
+        assert cKDTree(part.vertices).query(expected[hull.vertices])[0].max() < 2e-6
+        assert cKDTree(expected).query(part.vertices)[0].max() < 2e-6
+        triangles = triangles_of(model, part.name)
+        volume = np.linalg.det(triangles - triangles.mean(axis=(0, 1))).sum() / 6
+        np.testing.assert_allclose(volume, hull.volume, rtol=1e-3, err_msg=part.name)
+
+
+def test_spheres_enclose_the_hulls(model, robot, links, hulls):
     for link in links:
-        centers, radii = spheres_of(model, link.name)
-        triangles = triangles_of(hull_model, link.name)
-        # Between samples the gap grows by no more than their distance: 0.2 + 1.8 mm.
-        out = gap(surface_samples(triangles, 0.0018), centers, radii).max()
-        assert out <= 0.0002, f"{link.name} sticks out by {1e3 * out:.2f} mm"
-        corners = triangles.reshape(-1, 3)
+        centers, radii, _ = spheres_of(robot, link.name)
+        out = gap(surface_samples(triangles_of(model, link.name), 0.003), centers, radii).max()
+        assert out <= 0, f"{link.name} sticks out by {1e3 * out:.2f} mm"
+        hull = ConvexHull(hulls[link.name])
         grid = np.meshgrid(
-            *(np.arange(a, b, 0.005) for a, b in zip(corners.min(0), corners.max(0), strict=True))
+            *(np.arange(a, b, 0.007) for a, b in zip(hull.min_bound, hull.max_bound, strict=True))
         )
         inside = np.stack(grid, axis=-1).reshape(-1, 3)
-        inside = inside[depth(inside, triangles) > 0]
+        inside = inside[depth(inside, hull) > 0]
         assert gap(inside, centers, radii).max() <= 0, f"{link.name} has a hole inside"
 
 
-def test_spheres_are_few_and_tight(arm, model, hull_model, links):
-    counts = {link.name: len(spheres_of(model, link.name)[1]) for link in links}
-    moving = links[1:]
-    assert sum(counts[link.name] for link in moving) <= MOST_SPHERES[arm]
-    assert counts[links[0].name] <= 8
-    assert sum(counts[a] * counts[b] for a, b in kept_pairs(model, links)) <= MOST_PAIRS
-    for link in moving:
-        centers, radii = spheres_of(model, link.name)
-        overshoot = (radii - depth(centers, triangles_of(hull_model, link.name))).max()
-        assert overshoot <= 0.025, f"{link.name} overshoots by {1e3 * overshoot:.1f} mm"
+def test_spheres_are_few_and_tight(arm, model, robot, links, hulls):
+    said, counts = SPHERES[arm], {}
+    for link in links:
+        centers, radii, inner = spheres_of(robot, link.name)
+        counts[link.name] = len(radii)
+        depths = depth(centers, ConvexHull(hulls[link.name]))
+        overshoot = (radii - depths).max()
+        most = said.base_overshoot if link is links[0] else said.overshoot
+        assert overshoot <= most, f"{link.name} overshoots by {1e3 * overshoot:.1f} mm"
+        assert (inner <= depths + 1e-6).all(), f"{link.name}: what is inside is not"
+    assert counts[links[0].name] == said.base
+    assert sum(counts.values()) == said.base + said.moving
+    assert len(robot.self_pairs) == said.pairs
+    names = [(robot.parts[a].name, robot.parts[b].name) for a, b in robot.part_pairs.tolist()]
+    # Held fingers do not move against one another.
+    fingers = ("left_finger", "right_finger")
+    assert names == [pair for pair in kept_pairs(model, links) if pair != fingers]
 
 
-def test_home_is_free_and_within_limits(model, hull_model, links):
+def test_home_is_free_and_within_limits(model, robot, links):
     home = model.key("home").qpos
     assert (home >= model.jnt_range[:, 0]).all()
     assert (home <= model.jnt_range[:, 1]).all()
-    np.testing.assert_allclose(model.key("home").ctrl, home)
-    data = mujoco.MjData(hull_model)
-    mujoco.mj_resetDataKeyframe(hull_model, data, hull_model.key("home").id)
-    mujoco.mj_forward(hull_model, data)
+    np.testing.assert_allclose(model.key("home").ctrl, home[model.actuator_trnid[:, 0]])
+    np.testing.assert_allclose(robot.home, home[: robot.num_dof], atol=1e-6)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_forward(model, data)
     assert data.ncon == 0
     for pair in kept_pairs(model, links):
-        assert hull_distance(hull_model, data, pair) > 0.05, pair
+        assert hull_distance(model, data, pair) > 0.05, pair
 
 
 def test_no_two_links_are_in_collision_often(model):
     """A pair that nearly always touches would leave a planner nothing free."""
     data, rng = mujoco.MjData(model), np.random.default_rng(3)
-    counts, samples = {}, rng.uniform(*model.jnt_range.T, size=(1000, model.njnt))
+    counts, samples = {}, configurations(model, 1500, rng)
     for q in samples:
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
+        place(model, data, q)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
-        touching = data.contact.geom[data.contact.dist < 0]
+        touching = data.contact.geom[data.contact.dist < -3e-4]  # which closed fingers do not
         for pair in {tuple(sorted(model.geom_bodyid[geoms])) for geoms in touching}:
             counts[pair] = counts.get(pair, 0) + 1
     assert counts, "no self-collision in any sample"
@@ -409,37 +452,59 @@ def test_no_two_links_are_in_collision_often(model):
 def test_ordinary_poses_of_the_panda_are_free(q):
     model = mujoco.MjModel.from_xml_path(str(ROOT / "assets" / "franka_panda.xml"))
     data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    assert data.ncon == 0
+    for opening in OPENINGS[1:]:
+        data.qpos[:] = *q, opening, opening
+        mujoco.mj_forward(model, data)
+        assert data.ncon == 0
 
 
-def test_excluded_links_cannot_meet(arm, hull_model, links):
+def test_excluded_links_cannot_meet(arm, model, links):
     """Random samples only; experiments/link_distances.py searches further."""
-    data, rng = mujoco.MjData(hull_model), np.random.default_rng(0)
-    kept = set(kept_pairs(hull_model, links))
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    touching = {
+        (link.parent or before.name, link.name) for before, link in itertools.pairwise(links)
+    }
     apart = [
         (a.name, b.name)
-        for i, a in enumerate(links)
-        for b in links[i + 2 :]  # neighbors touch by construction
-        if (a.name, b.name) not in kept | HULL_ARTEFACTS[arm]
+        for a, b in itertools.combinations(links, 2)
+        if (a.name, b.name) not in touching | HULL_ARTEFACTS[arm] | set(kept_pairs(model, links))
     ]
-    for q in folded_configurations(hull_model, 1500, rng):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(hull_model, data)
+    for q in configurations(model, 1500, rng, folded=True):
+        place(model, data, q)
         for pair in apart:
-            assert hull_distance(hull_model, data, pair) > 0.01, (pair, data.qpos)
+            assert hull_distance(model, data, pair) > 0.01, (pair, data.qpos)
 
 
-def test_spheres_notice_every_self_collision_of_the_hulls(hull_model, links):
-    data, rng = mujoco.MjData(hull_model), np.random.default_rng(1)
-    kept, hits = kept_pairs(hull_model, links), 0
-    for q in folded_configurations(hull_model, 3000, rng):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(hull_model, data)
-        if min(hull_distance(hull_model, data, pair) for pair in kept) < -0.004:
-            mujoco.mj_comPos(hull_model, data)
-            mujoco.mj_collision(hull_model, data)
-            assert data.ncon > 0, q
+def test_spheres_notice_every_self_collision_of_the_hulls(model, robot, links):
+    data, rng = mujoco.MjData(model), np.random.default_rng(1)
+    kept, hits = robot.part_pairs.tolist(), 0
+    first, second = robot.self_pairs.T
+    reach = robot.geom_radii[first] + robot.geom_radii[second]
+    bodies = robot.geom_bodies + 1
+    for q in configurations(model, 3000, rng, folded=True):
+        place(model, data, q)
+        names = ((robot.parts[a].name, robot.parts[b].name) for a, b in kept)
+        if min(hull_distance(model, data, pair) for pair in names) < 0:
+            turned = data.xmat[bodies].reshape(-1, 3, 3) @ robot.geom_centers[..., None]
+            centers = data.xpos[bodies] + turned[..., 0]
+            apart = np.linalg.norm(centers[first] - centers[second], axis=1) - reach
+            assert apart.min() < 0, q
             hits += 1
     assert hits > 5
+
+
+@pytest.mark.parametrize("opening", OPENINGS)
+def test_the_fingers_of_the_panda_are_held_where_one_says(opening):
+    joints = ("finger_joint_1", "finger_joint_2")
+    robot = load_robot("franka_panda", hold=dict.fromkeys(joints, opening))
+    assert robot.joint_names == tuple(f"joint_{i}" for i in range(1, 8))
+    assert robot.held == dict.fromkeys(joints, opening)
+    # Closed, they touch, and may.
+    names = [part.name for part in robot.parts]
+    two = [names.index("left_finger"), names.index("right_finger")]
+    assert two not in robot.part_pairs.tolist()
+    left, right = (spheres_of(robot, f"{side}_finger") for side in ("left", "right"))
+    np.testing.assert_allclose(left[1], right[1], atol=1e-6)
+    bodies = {body.name: body.position for body in robot.bodies}
+    np.testing.assert_allclose(bodies["left_finger"], [0, opening, 0.0584], atol=1e-6)
+    np.testing.assert_allclose(bodies["right_finger"], [0, -opening, 0.0584], atol=1e-6)

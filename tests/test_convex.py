@@ -21,7 +21,7 @@ from gnnjax.errors import InputError
 
 DATA = Path(__file__).parent / "data"
 LINKS = {
-    "franka_panda": ("link_0", "link_3", "link_7", "hand", "fingers"),
+    "franka_panda": ("link_0", "link_3", "link_7", "hand", "finger"),
     "kinova_gen3": ("base_link",),
     "kuka_iiwa14": ("link_0",),
 }

@@ -87,7 +87,7 @@ def sample_family_problem(
 
 
 def tip_positions(robot: Robot, q: Float[Array, "*batch D"]) -> Float[Array, "*batch 3"]:
-    """The arm's tip [m]: the middle of the last body's collision geoms."""
+    """The arm's tip [m]: the middle of the last body's spheres, or of all fingers'."""
     body, point = _tip(robot)
     positions, rotations = forward_kinematics(robot, q)
     turned = jnp.sum(rotations[..., body, :, :] * jnp.asarray(point, q.dtype), axis=-1)
@@ -120,8 +120,18 @@ def arm_reach(robot: Robot) -> Reach:
 
 
 def _tip(robot: Robot) -> tuple[int, np.ndarray]:
-    body = int(robot.geom_bodies.max())
-    return body, robot.geom_centers[robot.geom_bodies == body].mean(axis=0)
+    """The last body, and where the tip is in its frame `[3]`, m."""
+    last = int(robot.geom_bodies.max())
+    end, points = robot.bodies[last], []
+    for center, b in zip(robot.geom_centers, robot.geom_bodies.tolist(), strict=True):
+        body = robot.bodies[b]
+        beside = b >= 0 and body.parent == end.parent and not (body.joints or end.joints)
+        if b == last:
+            points.append(center)
+        elif beside:  # the fingers of a hand
+            placed = body.position + body.rotation @ center
+            points.append(end.rotation.T @ (placed - end.position))
+    return last, np.mean(points, axis=0)
 
 
 def draw_family_scene(key: jax.Array, family: str, robot: Robot) -> FamilyScene:
