@@ -138,6 +138,8 @@ def test_boxes_are_seen_from_the_base_wherever_it_stands(turned, configurations,
     checker = make_checker(turned, name)
     scene = jax.tree.map(jnp.asarray, scene)
     valid = np.asarray(jax.jit(checker.check_configurations)(scene, jnp.asarray(q)))
+    if backend == "mjx":  # of the same chains of spheres
+        sure &= (truth < 0) | (truth > 0.02)
     np.testing.assert_array_equal(valid[sure], truth[sure] > 0)
 
 

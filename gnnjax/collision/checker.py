@@ -1,8 +1,8 @@
-"""Validity of configurations and edges: fused kernels, and the same through MJX.
+"""Validity of configurations and edges: fused kernels, and their first level through MJX.
 
 A `Checker` is three pure functions for one scene; `vmap` them over scenes. The fused backend
 generates straight-line code from the robot's constants (see `kinematics.py`); the MJX backend runs
-MuJoCo's own collision functions and is what the fused one is compared with.
+MuJoCo's own collision functions on the spheres that the fused one tests first.
 
 Geoms that no joint moves (an arm's base) are not tested against boxes: no configuration changes
 the outcome. `boxes_clear` tests them, once a scene.
@@ -70,13 +70,12 @@ def make_checker(
 
     Args:
         robot: the arm.
-        backend: "fused" (fast; spheres and capsules) or "mjx" (any geoms that MJX collides).
+        backend: "fused" (fast and exact), or "mjx" (of the spheres around the arm's parts alone).
         axis_aligned: promise that no box is rotated; the fused kernel then skips the rotation.
         resolution: largest distance of neighbouring configurations along an edge.
 
     Raises:
-        InputError: geom types that the backend cannot handle, an unknown backend, or a resolution
-            too fine for the arm's joint ranges.
+        InputError: an unknown backend, or a resolution too fine for the arm's joint ranges.
     """
     if backend == "fused":
         functions = fused_functions(robot, axis_aligned)

@@ -1,14 +1,18 @@
 """Collision checking with MJX, MuJoCo's own collision functions in JAX.
 
-An independent second implementation of what the fused kernel computes, and not confined to spheres
-and capsules: whatever MJX collides with a box will do.
+An independent second implementation of the fused kernel's first level: MJX tests the arm's cover,
+the spheres around its parts. What these leave open is not looked at, so that of arms whose parts
+are no spheres this backend is conservative. It refuses whatever touches, and besides what comes as
+near to a part as its spheres stand out of it. The parts themselves are not MJX's to test here: its
+function for meshes and boxes is slower by orders of magnitude, there is none for meshes and
+cylinders, and the one for capsules and boxes misses one collision in a thousand.
 
 MJX is asked pair by pair: `mjx.collision`, for a world that holds nothing but two geoms, is a
 function of their poses and sizes, which `in_components` maps over all pairs of a kind and all
 configurations. One world with all geoms under `jax.vmap`, the way MJX is mostly used, gives the
 same verdicts at 7,000 configurations a second instead of 300,000 (Kuka, nine boxes, two cores).
-Which pairs are tested is up to this module, not to the bits of the MJCF: every geom that a joint
-moves with every box that exists, and `Robot.part_pairs`.
+Which pairs are tested is up to this module, not to the bits of the MJCF: every sphere that a joint
+moves with every obstacle that exists, and `Robot.self_pairs`.
 
 Poses are filled in from the package's own kinematics, and so are in the frame of scenes.
 `mjx.kinematics` finds the same poses (a test compares them), but under `vmap` XLA computes its
@@ -19,7 +23,6 @@ implementation, `impl="warp"`, which needs an NVIDIA GPU.
 
 import contextlib
 import io
-from collections import defaultdict
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -30,23 +33,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
-from gnnjax.arm.parts import CAPSULE, SPHERE, quat_to_matrix
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.components import in_components
 from gnnjax.collision.fused import FAR, CollisionFunctions, moved_by_joint
-from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints when the optional Warp is missing
     from mujoco import mjx
-
-
-class _Kind(NamedTuple):
-    """Geoms for which MJX compiles the same code."""
-
-    type: int  # MuJoCo's geom type
-    mesh: int = -1  # of the arm's model
 
 
 class _Geoms(NamedTuple):
@@ -58,16 +52,17 @@ class _Geoms(NamedTuple):
 
 
 _SHAPES = [(3,), (3, 3), (3,)]  # of a geom's position, rotation and size
+_SPHERE = mujoco.mjtGeom.mjGEOM_SPHERE
+_BOX = mujoco.mjtGeom.mjGEOM_BOX
 # A half-space is a box.
 _OBSTACLES = for_every_kind(
     "MJX backend",
-    box=_Kind(int(mujoco.mjtGeom.mjGEOM_BOX)),
-    sphere=_Kind(SPHERE),
-    capsule=_Kind(CAPSULE),
-    cylinder=_Kind(int(mujoco.mjtGeom.mjGEOM_CYLINDER)),
-    half_space=_Kind(int(mujoco.mjtGeom.mjGEOM_BOX)),
+    box=_BOX,
+    sphere=_SPHERE,
+    capsule=mujoco.mjtGeom.mjGEOM_CAPSULE,
+    cylinder=mujoco.mjtGeom.mjGEOM_CYLINDER,
+    half_space=_BOX,
 )
-_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
 def mjx_functions(robot: Robot) -> CollisionFunctions:
@@ -75,44 +70,27 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
 
     `clearance(scene, q [*batch D]) -> [*batch]` m is the least distance over MJX's contacts. Its
     sign is right; its size, where positive, is none to rely on: MJX sets the distance of a sphere
-    or capsule and a box to 1 m, or leaves it approximate, once they are separated. Below zero it
-    is minus the depth of the deepest penetration. The fused backend gives the true distance.
-
-    Raises:
-        InputError: the arm has something that MJX does not collide.
+    and a box to 1 m, or leaves it approximate, once they are separated. Below zero it is minus the
+    depth of the deepest penetration, of spheres. The fused backend gives the true distance.
     """
-    kinds = _kinds(robot)
-    moving, pairs = defaultdict(list), defaultdict(list)
-    moved = np.unique(robot.geom_parts[moved_by_joint(robot)])
-    for part in moved.tolist():
-        moving[kinds[part]].append(part)
-    for i, j in robot.part_pairs.tolist():
-        # One group for two kinds, whichever of them comes first.
-        i, j = (i, j) if kinds[i] <= kinds[j] else (j, i)
-        pairs[kinds[i], kinds[j]].append((i, j))
-    with_obstacles = {
-        other: [(np.array(rows), _distance_to(robot, kind, other)) for kind, rows in moving.items()]
-        for other in dict.fromkeys(_OBSTACLES.values())
-    }
-    with_itself = [(np.array(rows), _distance(robot, *two)) for two, rows in pairs.items()]
-
-    in_bodies = _frames_in_bodies(robot)
+    moving = np.flatnonzero(moved_by_joint(robot))
+    to_obstacle = {kind: _distance(kind) for kind in dict.fromkeys(_OBSTACLES.values())}
+    of_two_spheres = to_obstacle[_SPHERE]
 
     def smallest_distance(scene: Scene, q: jax.Array, *, only_sign: bool) -> jax.Array:
         """Of a scene, or of a scene for each configuration, `[B M ...]`."""
-        place = _placer(robot, in_bodies, q)
+        place = _placer(robot, q)
         smallest = jnp.full(len(q), jnp.inf, q.dtype)
         disc, ball = scene.radii[..., 0], scene.radii[..., 1]
         radius, half_length = disc + ball, scene.half_extents[..., 2]
         round_sizes = jnp.stack([radius, half_length, jnp.zeros_like(radius)], axis=-1)
-        for other, pairs_of_kind in with_obstacles.items():
-            exists = scene.mask & _is_of_kind(other, disc, ball, half_length)
-            is_box = other == _OBSTACLES["box"]
+        for kind, distance in to_obstacle.items():
+            exists = scene.mask & _is_of_kind(kind, disc, ball, half_length)
             # Those of other kinds are far away, and none is looked at after the last.
             obstacles = (
                 jnp.where(exists[..., None], scene.centers, FAR),
                 rotation_matrices(scene.quats),
-                scene.half_extents if is_box else round_sizes,
+                scene.half_extents if kind == _BOX else round_sizes,
             )
             if scene.mask.ndim > 1:
                 obstacles = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), obstacles)
@@ -122,17 +100,17 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
                 i, smallest = state
                 return (i < num) & (jnp.any(smallest > 0) | (not only_sign))
 
-            def next_one(state, obstacles=obstacles, pairs_of_kind=pairs_of_kind):
+            def next_one(state, obstacles=obstacles, distance=distance):
                 i, smallest = state
                 parts = zip(obstacles, (1, 2, 1), strict=True)
                 placed = _Geoms(*(_components(part[i], axes) for part, axes in parts))
-                for rows, distance in pairs_of_kind:
-                    smallest = jnp.minimum(smallest, distance(place(rows), placed))
-                return i + 1, smallest
+                return i + 1, jnp.minimum(smallest, distance(place(moving), placed))
 
-            _, smallest = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), smallest))
-        for rows, distance in with_itself:
-            smallest = jnp.minimum(smallest, distance(place(rows[:, 0]), place(rows[:, 1])))
+            if len(moving):
+                _, smallest = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), smallest))
+        if len(robot.self_pairs):
+            first, second = robot.self_pairs.T
+            smallest = jnp.minimum(smallest, of_two_spheres(place(first), place(second)))
         return smallest
 
     def clearance(scene: Scene, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
@@ -153,67 +131,27 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
     )
 
 
-def _distance_to(
-    robot: Robot, kind: _Kind, obstacle: _Kind
-) -> Callable[[_Geoms, _Geoms], Float[Array, " B"]]:
-    """`_distance` to obstacles; those that MJX cannot collide geoms of a kind with touch them all.
-
-    MJX has no function for cylinders and boxes or meshes, for example.
-    """
-    if obstacle != _OBSTACLES["box"]:
-        try:
-            return _distance(robot, kind, obstacle)
-        except InputError:
-            return lambda geoms, _: jnp.full(jnp.shape(geoms.position[0])[-1:], -jnp.inf)
-    return _distance(robot, kind, obstacle)
-
-
-def _is_of_kind(kind: _Kind, disc: jax.Array, ball: jax.Array, half_length: jax.Array) -> jax.Array:
+def _is_of_kind(
+    kind: mujoco.mjtGeom, disc: jax.Array, ball: jax.Array, half_length: jax.Array
+) -> jax.Array:
     """Which obstacles MJX collides as geoms of a kind."""
     if kind == _OBSTACLES["cylinder"]:
         return disc > 0
-    if kind == _OBSTACLES["box"]:
+    if kind == _BOX:
         return (disc == 0) & (ball == 0)
     return (ball > 0) & ((half_length > 0) == (kind == _OBSTACLES["capsule"]))
 
 
-def _kinds(robot: Robot) -> list[_Kind]:
-    """Of the arm's parts, which are geoms of its model."""
-    types = robot.mj_model.geom_type[robot.part_geom_ids]
-    meshes = np.where(types == _MESH, robot.mj_model.geom_dataid[robot.part_geom_ids], -1)
-    return [_Kind(*two) for two in zip(types.tolist(), meshes.tolist(), strict=True)]
-
-
-def _frames_in_bodies(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [P 3] m and rotations [P 3 3] of the arm's parts in the frames of their bodies."""
-    positions = robot.mj_model.geom_pos[robot.part_geom_ids]
-    rotations = np.empty((len(positions), 3, 3))
-    for g, kind in enumerate(_kinds(robot)):
-        rotations[g] = quat_to_matrix(robot.mj_model.geom_quat[robot.part_geom_ids[g]])
-        if kind.type == _MESH:
-            # Compiling the mesh again may turn it into another frame.
-            world = _world(robot, kind)
-            positions[g] += rotations[g] @ world.mesh_pos[0]
-            rotations[g] = rotations[g] @ quat_to_matrix(world.mesh_quat[0])
-    return positions, rotations
-
-
-def _placer(
-    robot: Robot, in_bodies: tuple[np.ndarray, np.ndarray], q: Float[Array, "B D"]
-) -> Callable[[np.ndarray], _Geoms]:
-    """Makes the function that places parts, given by their numbers, in B configurations."""
-    positions, rotations = in_bodies
-    sizes = robot.mj_model.geom_size[robot.part_geom_ids]
-    types = robot.mj_model.geom_type[robot.part_geom_ids]
-    part_bodies = np.array([part.body for part in robot.parts])
-    # Geoms that are fixed to the world have the body -1, which is the last.
+def _placer(robot: Robot, q: Float[Array, "B D"]) -> Callable[[np.ndarray], _Geoms]:
+    """Makes the function that places spheres, given by their rows, in B configurations."""
+    # Spheres that are fixed to the world have the body -1, which is the last.
     frames = [*body_frames(robot, joint_terms(robot, q)), WORLD]
 
     def of_bodies(components: list) -> jax.Array:
         return jnp.stack([jnp.broadcast_to(jnp.asarray(x, q.dtype), len(q)) for x in components])
 
-    # The barrier keeps the compiler from computing the frames anew for every geom.
-    body_positions, body_rotations = jax.lax.optimization_barrier(
+    # The barrier keeps the compiler from computing the frames anew for every sphere.
+    positions, rotations = jax.lax.optimization_barrier(
         (
             [of_bodies([p[i] for p, _ in frames]) for i in range(3)],
             [[of_bodies([r[i][j] for _, r in frames]) for j in range(3)] for i in range(3)],
@@ -221,40 +159,28 @@ def _placer(
     )
 
     def place(rows: np.ndarray) -> _Geoms:
-        bodies = part_bodies[rows]
-        turns = [[x[bodies] for x in row] for row in body_rotations]
-
-        def turned(vectors: np.ndarray) -> list[jax.Array]:
-            """Vectors `[G 3]` of the bodies' frames, in the world's."""
-            x, y, z = jnp.asarray(vectors.T[..., None], q.dtype)
-            return [a * x + b * y + c * z for a, b, c in turns]
-
-        offsets = turned(positions[rows])
-        position = [p[bodies] + offset for p, offset in zip(body_positions, offsets, strict=True)]
-        rotation = jnp.eye(3)
-        if any(types[rows] != SPHERE):  # which looks the same from all sides
-            axes = [turned(rotations[rows, :, j]) for j in range(3)]
-            rotation = jnp.array(axes).swapaxes(0, 1)
-        size = jnp.asarray(sizes[rows].T[..., None], q.dtype)
+        bodies = robot.geom_bodies[rows]
+        x, y, z = jnp.asarray(robot.geom_centers[rows].T[..., None], q.dtype)
+        position = [
+            p[bodies] + a[bodies] * x + b[bodies] * y + c[bodies] * z
+            for p, (a, b, c) in zip(positions, rotations, strict=True)
+        ]
+        size = np.zeros((3, len(rows), 1))
+        size[0, :, 0] = robot.geom_radii[rows]
         return _Geoms(
-            _components(jnp.array(position), 1), _components(rotation, 2), _components(size, 1)
+            _components(jnp.array(position), 1),
+            _components(jnp.eye(3), 2),  # which looks the same from all sides
+            _components(jnp.asarray(size, q.dtype), 1),
         )
 
     return place
 
 
-def _distance(
-    robot: Robot, first: _Kind, second: _Kind
-) -> Callable[[_Geoms, _Geoms], Float[Array, " B"]]:
-    """Makes the function for the least distance [m] over pairs of geoms of two kinds."""
-    try:
-        world = _world(robot, first, second)
-        # Named, since MJX would choose another implementation by the device and what is installed.
-        model, data = mjx.put_model(world, impl="jax"), mjx.make_data(world, impl="jax")
-    except (NotImplementedError, ValueError) as error:
-        raise InputError(
-            f"MJX cannot collide {robot.name}: {str(error).strip()}; use the fused backend"
-        ) from None
+def _distance(kind: mujoco.mjtGeom) -> Callable[[_Geoms, _Geoms], Float[Array, " B"]]:
+    """Makes the function for the least distance [m] over pairs of a sphere and another geom."""
+    world = _world(_SPHERE, kind)
+    # Named, since MJX would choose another implementation by the device and what is installed.
+    model, data = mjx.put_model(world, impl="jax"), mjx.make_data(world, impl="jax")
 
     def distance_of_two(
         position: jax.Array, rotation: jax.Array, size: jax.Array, *second: jax.Array
@@ -266,7 +192,7 @@ def _distance(
 
     try:
         distance_in_components = in_components(distance_of_two, _SHAPES * 2)
-    except NotImplementedError:  # meshes and boxes: loops, sorting
+    except NotImplementedError:  # cylinders: a loop that descends to the nearest point
         distance_in_components = _by_vmap(distance_of_two)
 
     def distance(first: _Geoms, second: _Geoms) -> Float[Array, " B"]:
@@ -291,35 +217,24 @@ def _by_vmap(function: Callable[..., jax.Array]) -> Callable[..., np.ndarray]:
     return run
 
 
-def _components(array: jax.Array, num_axes: int | None = None) -> np.ndarray:
-    """The entries of an array over its first axes, by default all of them."""
+def _components(array: jax.Array, num_axes: int) -> np.ndarray:
+    """The entries of an array over its first axes."""
     shape = array.shape[:num_axes]
-    flat = array.reshape(-1, *array.shape[len(shape) :])
+    flat = array.reshape(-1, *array.shape[num_axes:])
     components = np.empty(len(flat), object)
     for i in range(len(flat)):  # one by one, or NumPy would take the arrays apart
         components[i] = flat[i]
     return components.reshape(shape)
 
 
-def _world(robot: Robot, *kinds: _Kind) -> mujoco.MjModel:
-    """A world of one or two geoms, whose poses and sizes are those of nothing in particular."""
+def _world(*kinds: mujoco.mjtGeom) -> mujoco.MjModel:
+    """A world of two geoms, whose poses and sizes are those of nothing in particular."""
     spec = mujoco.MjSpec()
     names = [f"geom_{number}" for number in range(len(kinds))]
     for name, kind in zip(names, kinds, strict=True):
-        options: dict = {"type": mujoco.mjtGeom(kind.type), "size": [0.1, 0.1, 0.1]}
-        if kind.mesh >= 0:
-            model = robot.mj_model
-            vertices, faces = (
-                every[first[kind.mesh] : first[kind.mesh] + count[kind.mesh]].ravel()
-                for every, first, count in (
-                    (model.mesh_vert, model.mesh_vertadr, model.mesh_vertnum),
-                    (model.mesh_face, model.mesh_faceadr, model.mesh_facenum),
-                )
-            )
-            spec.add_mesh(name=name, uservert=vertices, userface=faces)
-            options["meshname"] = name
         # Without bits: what is paired is paired by name.
-        spec.worldbody.add_geom(name=name, contype=0, conaffinity=0, **options)
-    if len(names) == 2:
-        spec.add_pair(geomname1=names[0], geomname2=names[1], condim=1)
+        spec.worldbody.add_geom(
+            name=name, type=kind, size=[0.1, 0.1, 0.1], contype=0, conaffinity=0
+        )
+    spec.add_pair(geomname1=names[0], geomname2=names[1], condim=1)
     return spec.compile()

@@ -60,8 +60,8 @@ class PlannerOptions:
     simplify: bool = False
     """Let OMPL simplify the path that its planner found; not for our own planners."""
     checker: str = "fused"
-    """Collision backend: fused, mjx, or, for the planners of OMPL alone, mujoco, which is MuJoCo's
-    C engine."""
+    """Collision backend: fused, mjx (of the spheres around the arm's links alone), or, for the
+    planners of OMPL alone, mujoco, which is MuJoCo's C engine."""
     resolution: float = EDGE_RESOLUTION
     """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
     margin: float = 0.0
