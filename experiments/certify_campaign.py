@@ -23,6 +23,7 @@ from rich.progress import track
 from rich.table import Table
 
 from experiments.random_arm import BASE, random_arm
+from gnnjax.arm.joints import joint_name
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.certify import certify_edges, configuration_clearance
 from gnnjax.errors import InputError, check_seed, run_command
@@ -166,8 +167,11 @@ def scan(arm: Arm, edge: Edge, step: float) -> Scan:
     model.geom_margin[:], model.body_margin[:], model.pair_margin[:] = _MARGIN, _MARGIN, _MARGIN
     data = mujoco.MjData(model)
     count = int(np.ceil(np.linalg.norm(edge.end - edge.start) / step)) + 1
+    held = [arm.robot.held.get(joint_name(model, j)) for j in range(model.njnt)]
+    planned = np.array([value is None for value in held])
+    data.qpos[~planned] = [value for value in held if value is not None]
     gap = np.inf
-    for data.qpos[:] in np.linspace(edge.start, edge.end, count):
+    for data.qpos[planned] in np.linspace(edge.start, edge.end, count):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         if data.ncon:

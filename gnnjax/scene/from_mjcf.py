@@ -73,7 +73,7 @@ def scene_from_mjcf(
     moving = _moving(model)
     carried = _subtrees(model, of_robot & moving) - of_robot
     to_base = inverse(base)
-    shapes = []
+    found = []
     for g in collision_geoms(model).tolist():
         body = int(model.geom_bodyid[g])
         if body in ignored or body in of_robot or _named(model.geom(g).name, ignore):
@@ -92,7 +92,9 @@ def scene_from_mjcf(
                 f"{inside} moves by a joint; if that is the robot, give robot=load_robot(...) or "
                 "name its first body in ignore; if it stands still, remove the joint"
             )
-        shapes.append(moved(_shape(model, g, called), pose))
+        found.append((g, pose))
+    # Only now, as meshes may be those of a robot that was not named.
+    shapes = [moved(_shape(model, g, called), pose) for g, pose in found]
     return scene_from_shapes(shapes, source=called)
 
 
