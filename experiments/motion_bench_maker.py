@@ -63,7 +63,7 @@ class MotionBenchMakerConfig(ExperimentConfig):
     num_problems: int | None = None
     """Only the first so many problems of each scene."""
     hold: tuple[tuple[str, float], ...] = ()
-    """Joints that are held, and where, rad or m: finger_joint1 0.04 finger_joint2 0.04."""
+    """Joints that are held, and where, rad or m: finger_joint_1 0.065 finger_joint_2 0.065."""
     time_limit: float = 1.0
     """Seconds after which OMPL's planners give a problem up."""
     processes: int = 2

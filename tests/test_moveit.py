@@ -330,7 +330,8 @@ def test_joints_are_in_the_robots_order_whatever_the_files(tmp_path, tiny_path, 
 def test_names_that_end_alike_are_the_same_joint(tmp_path, caplog):
     robot = load_robot("franka_panda")  # joint_1 to joint_7
     names = [f"panda_joint{i}" for i in range(1, 8)]
-    start = {"name": [*names, "panda_finger_joint1"], "position": [0.1 * i for i in range(8)]}
+    fingers = ["panda_finger_joint1", "panda_finger_joint2"]  # held at 0.04
+    start = {"name": [*names, *fingers], "position": [*(0.1 * i for i in range(7)), 0.04, 0.065]}
     goal = [{"joint_name": name, "position": 0.5 + i} for i, name in enumerate(names)]
     request = {
         "start_state": {"joint_state": start},
@@ -339,7 +340,11 @@ def test_names_that_end_alike_are_the_same_joint(tmp_path, caplog):
     problem = problem_of(tmp_path, robot, request)
     np.testing.assert_allclose(problem.start, 0.1 * np.arange(7), rtol=1e-6)
     np.testing.assert_allclose(problem.goal, 0.5 + np.arange(7))
-    assert [record.levelno for record in caplog.records] == [logging.WARNING]  # the finger
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert record.message.startswith(
+        "requests have panda_finger_joint2 at 0.065, which franka_panda holds at 0.04; load_robot("
+    )
 
 
 @pytest.mark.parametrize(

@@ -81,8 +81,9 @@ def problem_from_moveit(
     start = _start(message, called)
     mapping = _matched(robot, list(goal), names or {}, called)
     for name in goal.keys() - set(mapping.values()):
-        if abs(robot.held.get(name, np.inf) - goal[name]) > _SAME:
-            at = f"holds at {robot.held[name]:g}" if name in robot.held else "does not have"
+        held = _held(robot, name)
+        if held is None or abs(held - goal[name]) > _SAME:
+            at = "does not have" if held is None else f"holds at {held:g}"
             raise InputError(
                 f"{called} wants {name} at {goal[name]:g} in its goal, which {robot.name} {at}; "
                 "load the robot with that joint, or remove the constraint"
@@ -176,12 +177,20 @@ def _end_alike(one: str, other: str) -> bool:
 def _note_others(robot: Robot, start: dict[str, float], planned: set[str]) -> None:
     """Notes where joints are that the robot does not plan for, unless it holds them there."""
     for name, value in start.items():
-        if name in planned or abs(robot.held.get(name, np.inf) - value) <= _SAME:
+        held = _held(robot, name)
+        if name in planned or (held is not None and abs(held - value) <= _SAME):
             continue
         where = "does not have as a joint"
-        if name in robot.held:
-            where = f"holds at {robot.held[name]:g}; load_robot(hold=...) can have it there, too"
+        if held is not None:
+            where = f"holds at {held:g}; load_robot(hold=...) can have it there, too"
         _note(f"requests have {name} at {value:g}, which {robot.name} {where}")
+
+
+def _held(robot: Robot, name: str) -> float | None:
+    """Where the robot holds a joint of the request, rad or m; none that it does not hold."""
+    alike = [own for own in robot.held if _end_alike(own, name)]
+    own = name if name in robot.held or len(alike) != 1 else alike[0]
+    return robot.held.get(own)
 
 
 @functools.cache
