@@ -147,7 +147,7 @@ def test_shipped_arms_match_c_engine(name, rotated):
         by_itself += int((gaps < 0).sum()) if num_boxes == 0 else 0
     # Both outcomes, and self-collisions, must have been there to agree on.
     assert 1000 < num_valid < 9000
-    assert by_itself > 10
+    assert by_itself > 5
 
 
 def test_capsules_match_c_engine(capsules):
