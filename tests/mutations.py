@@ -316,7 +316,10 @@ def arms(folder: Path) -> Callable[[random.Random, Path], Callable[[], object]]:
     from gnnjax.collision.checker import make_checker
     from gnnjax.scene.scene import make_scene
 
-    good = [_arm(folder).read_text(), (assets_dir() / "kuka_iiwa14.xml").read_text()]
+    # Its meshes are found from anywhere.
+    kuka = (assets_dir() / "kuka_iiwa14.xml").read_text()
+    kuka = kuka.replace('file="meshes', f'file="{assets_dir().resolve()}/meshes')
+    good = [_arm(folder).read_text(), kuka]
     scene = make_scene([[0.5, 0.5, 0.5]], [[0.1, 0.1, 0.1]])
 
     def make(rng: random.Random, path: Path) -> Callable[[], object]:
