@@ -108,6 +108,10 @@ def mjcf_of_spheres(robot: Robot) -> str:
         numeric.name == "velocity_limit" for numeric in spec.numerics
     ):
         spec.add_numeric(name="velocity_limit", data=robot.velocity_limit.astype(float))
+    # That of the file is gone where it has joints that are held.
+    middle = robot.mj_model.jnt_range.mean(axis=1).astype(np.float32)
+    if not any(key.name == "home" for key in spec.keys) and (robot.home != middle).any():
+        spec.add_key(name="home", qpos=robot.home.astype(float))
     spec.compile()
     return spec.to_xml()
 
@@ -120,6 +124,7 @@ def _keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             body.mass = float(model.body_mass[body.id])
             body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
             body.inertia = model.body_inertia[body.id]
+            body.fullinertia = np.full(6, np.nan)  # none
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial import ConvexHull, cKDTree
 
 from gnnjax.arm.robot import load_robot
+from gnnjax.fit import mjcf_of_spheres
 
 ROOT = Path(__file__).parents[1]
 HALF_TURN = np.pi
@@ -408,6 +409,18 @@ def test_spheres_are_few_and_tight(arm, model, robot, links, hulls):
     # Held fingers do not move against one another.
     fingers = ("left_finger", "right_finger")
     assert names == [pair for pair in kept_pairs(model, links) if pair != fingers]
+
+
+def test_an_arm_of_its_spheres_is_the_same_arm(robot, tmp_path):
+    path = tmp_path / "round.xml"
+    path.write_text(mjcf_of_spheres(robot))
+    saved = load_robot(path)
+    assert saved.joint_names == robot.joint_names
+    np.testing.assert_array_equal(saved.self_pairs, robot.self_pairs)
+    np.testing.assert_allclose(saved.geom_radii, robot.geom_radii, atol=2e-5)
+    np.testing.assert_allclose(saved.geom_centers, robot.geom_centers, atol=2e-5)
+    np.testing.assert_allclose(saved.home, robot.home, atol=1e-5)
+    np.testing.assert_allclose(saved.mj_model.body_mass, robot.mj_model.body_mass, rtol=1e-4)
 
 
 def test_home_is_free_and_within_limits(model, robot, links):
