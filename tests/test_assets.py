@@ -8,6 +8,7 @@ import dataclasses
 import itertools
 from pathlib import Path
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.fit import mjcf_of_spheres
+from gnnjax.problems.family_problem import tip_positions
 
 ROOT = Path(__file__).parents[1]
 HALF_TURN = np.pi
@@ -521,3 +523,9 @@ def test_the_fingers_of_the_panda_are_held_where_one_says(opening):
     bodies = {body.name: body.position for body in robot.bodies}
     np.testing.assert_allclose(bodies["left_finger"], [0, opening, 0.0584], atol=1e-6)
     np.testing.assert_allclose(bodies["right_finger"], [0, -opening, 0.0584], atol=1e-6)
+    # What problems call the tip is between the fingers, on the axis of the hand.
+    data = mujoco.MjData(robot.mj_model)
+    place(robot.mj_model, data, robot.home)
+    hand, tip = data.body("hand"), np.asarray(tip_positions(robot, jnp.asarray(robot.home)))
+    seen = hand.xmat.reshape(3, 3).T @ (tip - hand.xpos)
+    np.testing.assert_allclose(seen, [0, 0, 0.084], atol=1e-3)
