@@ -49,7 +49,8 @@ search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.families problems.family_problem
 problems.labelled problems.moveit
 planning.options planning.query planning.clock planning.progress planning.strategy
-planning.walks planning.guided planning.pool planning.shortening planning.engine planning.planner
+planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
+planning.engine planning.planner
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl

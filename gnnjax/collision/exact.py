@@ -20,7 +20,6 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 
 SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
-_PAIRS_AT_ONCE = 64  # that are tested; as many wait until these are decided
 WORD = 32  # bits
 
 
@@ -146,7 +145,8 @@ def _test_pairs(
 
     def test_some(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         left, valid = state
-        (found,) = jnp.nonzero(left, size=_PAIRS_AT_ONCE, fill_value=len(left))
+        # Twice as many as there are configurations; the others wait until these are decided.
+        (found,) = jnp.nonzero(left, size=2 * num, fill_value=len(left))
         pair, at = jnp.divmod(jnp.minimum(found, len(left) - 1), num)
         # Rows without a pair test the last again.
         touches = (found < len(left)) & ~(gaps(pair, at) > 0)

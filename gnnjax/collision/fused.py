@@ -31,7 +31,7 @@ from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 # Pairs of the arm's own geometry in one pass of the fused kernel. The compiler turns a pass into a
 # single loop over the batch. It splits what exceeds 2,000 operations into functions, and where it
 # fails to join them again, the loop runs several times slower.
-_SELF_PAIRS_A_PASS = 600
+_SELF_PAIRS_A_PASS = 120
 _OPEN_AT_ONCE = 32  # configurations that spheres leave open, and are decided together
 FAR = 1e6  # m; where obstacles are that do not exist
 
@@ -138,7 +138,9 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
     """
     # Of spheres around the parts, and of those inside of them; the same for arms of spheres.
     is_open = bool((robot.geom_inner_radii < robot.geom_radii).any())
-    levels = [robot.geom_radii.tolist(), robot.geom_inner_radii.tolist()][: 1 + is_open]
+    # Not of those whose centre is outside of their part.
+    radii = robot.geom_radii.tolist()
+    inner = [x if x > 0 else None for x in robot.geom_inner_radii.tolist()]
     moving = np.flatnonzero(moved_by_joint(robot)).tolist()
     num_self = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
     self_parts = np.array_split(robot.self_pairs, max(1, num_self))
@@ -149,69 +151,59 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         return jnp.where(a < b, a, b)
 
     def squared_distances(joints, obstacle):
-        origin, rotation, half_extents, radii = obstacle
+        origin, rotation, half_extents, (disc, ball) = obstacle
         # Kinematics in the frame of the obstacle are less work than moving every sphere there.
         turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
         points = _points(robot, joints, (list(origin), turned))
         for g in moving:
-            yield g, squared_distance(points[g], list(half_extents), radii[0]), radii[1]
+            yield g, squared_distance(points[g], list(half_extents), disc), ball
 
-    def obstacle_pass(joints, obstacle, smallest, gap, levels):
-        for g, squared, ball in squared_distances(joints, obstacle):
-            smallest = [
-                smaller(gap(squared, radii[g] + ball), least) if radii[g] > 0 else least
-                for least, radii in zip(smallest, levels, strict=True)
-            ]
-        return smallest
-
-    def self_pass(joints, pairs, smallest, gap, levels):
-        points = _points(robot, joints)
-        for i, j in pairs:
-            offset = subtract(points[i], points[j])
-            squared = dot(offset, offset)
-            smallest = [
-                smaller(gap(squared, radii[i] + radii[j]), least)
-                if radii[i] > 0 and radii[j] > 0
-                else least
-                for least, radii in zip(smallest, levels, strict=True)
-            ]
-        return smallest
-
-    def smallest_gaps(obstacles: _Obstacles, q: jax.Array, gap, worth_going_on, levels):
-        """Of each level of spheres the smallest gap."""
+    def smallest_value(obstacles: _Obstacles, q: jax.Array, value, worth_going_on) -> jax.Array:
+        """The smallest of `value(squared distance, radius, inner radius)` of all pairs."""
         joints = joint_terms(robot, q)
 
         # One obstacle a pass. With several, the compiler finds out what they share and the kernel
-        # is a sixth faster, but it takes three times as long to compile.
+        # is a sixth faster, but it takes three times as long to compile. One array comes out, or
+        # the compiler would compute all of it for each.
         def one_pass(i, smallest):
             # The barrier keeps the compiler from moving the kinematics out of the loop, which
             # would send every sphere's coordinates through memory: three times slower.
             fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
             *parts, _ = obstacles  # the rotations may be None
             own = jax.tree.map(lambda x: x[i], parts)
-            return obstacle_pass(fresh, own, smallest, gap, levels)
+            for g, squared, ball in squared_distances(fresh, own):
+                reach = radii[g] + ball, None if inner[g] is None else inner[g] + ball
+                smallest = smaller(value(squared, *reach), smallest)
+            return smallest
 
-        smallest = [jnp.full(q.shape[:-1], jnp.inf, q.dtype) for _ in levels]
+        smallest = jnp.full(q.shape[:-1], jnp.inf, q.dtype)
         smallest = jax.lax.fori_loop(0, obstacles.num, one_pass, smallest)
         for part in self_parts:
 
             def self_turn(_, smallest, part=part):
                 fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
-                return self_pass(fresh, part, smallest, gap, levels)
+                points = _points(robot, fresh)
+                for i, j in part:
+                    offset = subtract(points[i], points[j])
+                    both = inner[i], inner[j]
+                    reach = radii[i] + radii[j], None if None in both else sum(both)
+                    smallest = smaller(value(dot(offset, offset), *reach), smallest)
+                return smallest
 
             # A loop of one turn or none, for the same reason as above; none where it cannot matter.
-            turns = jnp.any(worth_going_on(smallest[-1])).astype(jnp.int32)
+            turns = jnp.any(worth_going_on(smallest)).astype(jnp.int32)
             smallest = jax.lax.fori_loop(0, turns, self_turn, smallest)
         return smallest
 
-    def signs(obstacles: _Obstacles, q: jax.Array) -> list[jax.Array]:
+    def status(obstacles: _Obstacles, q: jax.Array) -> jax.Array:
         # Squares compare like distances and need no root.
-        def gap(squared, reach):
-            return squared - reach**2
+        def value(squared, reach, inner_reach):
+            touching = float(OPEN if is_open else BLOCKED)
+            if is_open and inner_reach is not None:
+                touching = jnp.where(squared > inner_reach**2, float(OPEN), float(BLOCKED))
+            return jnp.where(squared > reach**2, float(FREE), touching)
 
-        return [
-            gaps > 0 for gaps in smallest_gaps(obstacles, q, gap, lambda gaps: gaps > 0, levels)
-        ]
+        return smallest_value(obstacles, q, value, lambda least: least > BLOCKED)
 
     # Of the pairs of `exact_test`: which bit of which word they are.
     part_of, pair_of = robot.geom_parts.tolist(), _part_pairs(robot)
@@ -227,7 +219,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             found = [jnp.zeros(len(q), jnp.uint32)] * num_words[0]
             for g, squared, ball in squared_distances(fresh, own):
                 word, bit = divmod(part_of[g], WORD)
-                hit = squared <= (levels[0][g] + ball) ** 2
+                hit = squared <= (radii[g] + ball) ** 2
                 found[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
             return words.at[i].set(jnp.stack(found))
 
@@ -242,7 +234,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
                 for i, j in part:
                     word, bit = divmod(pair_of[part_of[i], part_of[j]], WORD)
                     offset = subtract(points[i], points[j])
-                    hit = dot(offset, offset) <= (levels[0][i] + levels[0][j]) ** 2
+                    hit = dot(offset, offset) <= (radii[i] + radii[j]) ** 2
                     words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
                 return words
 
@@ -271,9 +263,9 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         return _Obstacles(own(origins, 2), own(rotations, 3), own(extents, 2), own(radii, 2), num)
 
     def is_free(obstacles: _Obstacles, q: jax.Array) -> jax.Array:
-        outer, *inner = signs(obstacles, q)
-        if not inner:
-            return outer
+        first = status(obstacles, q)
+        if not is_open:
+            return first == FREE
 
         def some_left(state):
             return jnp.any(state[0])
@@ -285,15 +277,15 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             found = decide(of_each(obstacles, chosen), q[chosen])
             return left.at[rows].set(False, mode="drop"), free.at[rows].set(found, mode="drop")
 
-        state = ~outer & inner[0], outer
+        state = first == OPEN, first == FREE
         return jax.lax.while_loop(some_left, decide_some, state)[1]
 
     def clearance(scene: Scene, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
-        def gap(squared, reach):
+        def gap(squared, reach, _):
             return jnp.sqrt(squared) - reach
 
         obstacles = _obstacles(scene, axis_aligned)
-        return smallest_gaps(obstacles, q, gap, lambda gaps: gaps == gaps, levels[:1])[0]
+        return smallest_value(obstacles, q, gap, lambda gaps: gaps == gaps)
 
     def collision_free(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
         return is_free(_obstacles(scene, axis_aligned), nodes)
@@ -312,8 +304,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
     def first_level(
         scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
     ) -> Int[Array, " B"]:
-        outer, inner = signs(obstacles_of_each(scenes, owner), nodes)
-        return jnp.where(outer, FREE, jnp.where(inner, OPEN, BLOCKED)).astype(jnp.int8)
+        return status(obstacles_of_each(scenes, owner), nodes).astype(jnp.int8)
 
     def second_level(
         scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]

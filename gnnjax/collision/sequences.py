@@ -19,7 +19,8 @@ from gnnjax.scene.scene import Scene
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
 _BLOCKS = (64, 512, 4096)
-_OPEN_BLOCKS = (32,)  # of those that the first level leaves open
+_OPEN_BLOCKS = (32, 256)  # of those that the first level leaves open
+_EARLY = 2  # of these, in a sequence: most of them are blocked
 _FIRST_STRETCH = 16  # configurations of a sequence in its first call, where many share it
 
 
@@ -66,7 +67,9 @@ class SequenceTester:
             zeros = np.zeros((block, num_dof), np.float32)
             jax.block_until_ready(self._check(scenes, np.zeros(block, np.int32), zeros))
         if self._decide is not None:
-            self._run(self._decide, _OPEN_BLOCKS[:1], scenes, np.zeros(1, int), zeros[:1])
+            for block in _OPEN_BLOCKS[: len(_blocks_for(scenes)) - 1]:
+                rows = np.zeros((block, num_dof), np.float32)
+                jax.block_until_ready(self._decide(scenes, np.zeros(block, np.int32), rows))
 
     def __call__(self, scenes: Scene, items: Items, num: int) -> Outcome:
         """Tests what is asked for.
@@ -151,8 +154,16 @@ class SequenceTester:
         np.minimum.at(first, sequence[blocked], blocked)
         rows = np.flatnonzero((found == OPEN) & (np.arange(len(q)) < first[sequence]))
         valid = found == FREE
-        if len(rows):
-            valid[rows] = self._run(self._decide, _OPEN_BLOCKS, scenes, owner[rows], q[rows])
+        # The first ones of each sequence, and, where these hold, the others.
+        _, begin, of = np.unique(sequence[rows], return_index=True, return_inverse=True)
+        early = np.arange(len(rows)) - begin[of] < _EARLY
+        for some in (early, ~early):
+            some = rows[some & (rows < first[sequence[rows]])]
+            if not len(some):
+                continue
+            valid[some] = self._run(self._decide, _OPEN_BLOCKS, scenes, owner[some], q[some])
+            blocked = some[~valid[some]]
+            np.minimum.at(first, sequence[blocked], blocked)
         return valid
 
     def _run(

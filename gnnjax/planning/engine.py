@@ -18,11 +18,13 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.guide.guide import RISK_WEIGHT
 from gnnjax.planning.guided import JUDGED, Guided
-from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.options import CHEAP, PlannerOptions
 from gnnjax.planning.pool import Pool, in_chunks, size_for, sizes_up_to, take
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import Plan
+from gnnjax.planning.shortcuts import cut_short
 from gnnjax.planning.shortening import Shortener
+from gnnjax.planning.trees import grow
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, Knowledge
@@ -107,7 +109,27 @@ class Run(Progress):
                     numbers = np.array([one.number for one in kept])
                     self._attempt(np.array(ids), numbers, np.inf, [one.known for one in kept])
             self.kept = [[] for _ in every]
+        if not self.options.sampled:
+            self._grow_trees()
+            if self.strategy.shorten and self.options.check_cost <= CHEAP:
+                solved = np.flatnonzero([path is not None for path in self.paths])
+                cut_short(self, self.tester, self.scenes, solved)
         return self.plans([self._reason(i) for i in range(len(every))])
+
+    def _grow_trees(self) -> None:
+        """What is left to problems that no roadmap solves."""
+        ids = self._open()
+        for first in range(0, len(ids), self.pool):
+            grow(
+                self.robot,
+                self,
+                self.tester,
+                self.scenes,
+                ids[first : first + self.pool],
+                self.seed,
+                self.options.effort,
+                self.options.time_limit,
+            )
 
     def _reason(self, i: int) -> str:
         """Why there is no path of a problem."""

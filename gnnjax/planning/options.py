@@ -11,6 +11,7 @@ from gnnjax.collision.checker import EDGE_RESOLUTION
 from gnnjax.errors import InputError
 
 DEFAULT_MAX_ROADMAPS = 8
+CHEAP = 10.0  # us; a check that takes longer is dearer than a look at the guide
 
 # Planners by name, and what each does.
 PLANNERS = {
@@ -66,6 +67,9 @@ class PlannerOptions:
     """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
     margin: float = 0.0
     """Clearance to keep from obstacles, m; certified like the path itself."""
+    check_cost: float = 1.0
+    """Microseconds that a configuration check takes where the plans are used; for guided alone. Up
+    to 10, paths are shortened by testing shortcuts, beyond that by the guide alone."""
     time_limit: float = np.inf
     """Seconds after which no further round is begun, or, but for guided, no further roadmap."""
 
@@ -123,6 +127,8 @@ def check_options(options: PlannerOptions) -> None:
         raise InputError(f"margin is {options.margin}; it must be between 0 and 1 m")
     if options.margin and options.checker == "mujoco":
         raise InputError("margin with checker 'mujoco', which has none; use the checker 'fused'")
+    if not options.check_cost >= 0:
+        raise InputError(f"check_cost is {options.check_cost}; it must be 0 us or more")
     if not options.time_limit > 0:
         raise InputError(f"time_limit is {options.time_limit}; it must be more than 0 s")
     if options.is_classical and not np.isfinite(options.time_limit):

@@ -1,0 +1,111 @@
+"""Shortens certified paths by testing all shortcuts between points of theirs.
+
+Where a check costs less than a look at the guide, this is the quickest way to a short path: every
+motion between two of a path's points is tested, of all paths together and in a few flat calls, and
+the shortest way along those that hold is taken.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.planning.progress import Progress
+from gnnjax.scene.scene import Scene
+
+_POINTS = 14  # of a piece of a path, its corners among them
+_PASSES = 3  # each along what the one before has found; long paths take more
+_PIECES_AT_ONCE = 64
+_FIRST, _SECOND = np.triu_indices(_POINTS, 1)  # [E] the motions
+
+
+def cut_short(progress: Progress, tester: SequenceTester, scenes: Scene, ids: np.ndarray) -> None:
+    """Shortens the certified paths of some problems.
+
+    Args:
+        progress: has the paths, and gets shorter ones, if they are certified.
+        tester: of the arm.
+        scenes: of all problems, on the device.
+        ids: of problems with a path.
+    """
+    passes = np.zeros(len(progress.paths), int)
+    while True:
+        bent = [i for i in ids.tolist() if len(progress.paths[i]) > 2]
+        bent = [i for i in bent if passes[i] < _PASSES or len(progress.paths[i]) > _POINTS]
+        bent = np.array([i for i in bent if passes[i] < 3 * _PASSES], int)
+        if not len(bent):
+            return
+        passes[bent] += 1
+        begin = progress.clock.now()
+        cut = []  # problem and piece of its path
+        for i in bent.tolist():
+            path = progress.paths[i]
+            for first in range(0, len(path) - 1, _POINTS - 1):
+                cut.append((i, path[first : first + _POINTS]))
+        shorter: dict[int, list[np.ndarray]] = {i: [] for i in bent.tolist()}
+        for first in range(0, len(cut), _PIECES_AT_ONCE):
+            some = cut[first : first + _PIECES_AT_ONCE]
+            owners, pieces = zip(*some, strict=True)
+            found = _cut(progress, tester, scenes, np.array(owners), pieces)
+            for i, piece in zip(owners, found, strict=True):
+                shorter[i].append(piece)
+        begin = progress.spend(bent, begin)
+        joined = [
+            np.concatenate([*(x[:-1] for x in shorter[i]), shorter[i][-1][-1:]]) for i in bent
+        ]
+        progress.certify(bent, joined)
+        progress.spend(bent, begin)
+
+
+def _cut(
+    progress: Progress,
+    tester: SequenceTester,
+    scenes: Scene,
+    ids: np.ndarray,
+    pieces: Sequence[np.ndarray],
+) -> list[np.ndarray]:
+    """The shortest ways `[L D]` along shortcuts of pieces of the paths of some problems."""
+    points, edge = (np.stack(x) for x in zip(*map(_spread, pieces), strict=True))
+    # What lies along one edge of the path holds.
+    row, motion = np.nonzero(edge[:, _FIRST] != edge[:, _SECOND - 1])
+    items = Items(
+        np.arange(len(row)),
+        ids[row],
+        points[row, _FIRST[motion]],
+        points[row, _SECOND[motion]],
+        np.ones(len(row), bool),
+    )
+    outcome = tester(scenes, items, len(row))
+    progress.count(ids[row], outcome)
+    lengths = np.linalg.norm(points[:, _SECOND] - points[:, _FIRST], axis=2)
+    lengths[row[outcome.refuted], motion[outcome.refuted]] = np.inf
+    return [_shortest(*both) for both in zip(points, lengths, strict=True)]
+
+
+def _spread(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points `[V D]` along a path, its corners among them, and the edge that leads on from each."""
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    pieces = np.ones(len(lengths), int)
+    while pieces.sum() < _POINTS - 1:  # the longest piece is cut next
+        pieces[(lengths / pieces).argmax()] += 1
+    edge = np.repeat(np.arange(len(lengths)), pieces)
+    step = np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    share = (step / pieces[edge])[:, None].astype(path.dtype)
+    points = path[edge] + share * (path[edge + 1] - path[edge])
+    return np.concatenate([points, path[-1:]]), edge
+
+
+def _shortest(points: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """The shortest path `[L D]` from the first point to the last, over motions of some lengths."""
+    matrix = np.full((len(points), len(points)), np.inf)
+    matrix[_FIRST, _SECOND] = lengths
+    cost, before = np.full(len(points), np.inf), np.zeros(len(points), int)
+    cost[0] = 0
+    for j in range(1, len(points)):
+        through = cost[:j] + matrix[:j, j]
+        before[j] = through.argmin()
+        cost[j] = through[before[j]]
+    way = [len(points) - 1]
+    while way[-1]:
+        way.append(before[way[-1]])
+    return points[way[::-1]]
