@@ -119,6 +119,8 @@ class Run(Progress):
     def _grow_trees(self) -> None:
         """What is left to problems that no roadmap solves."""
         ids = self._open()
+        ends = np.concatenate([self.problems.start[ids], self.problems.goal[ids]], axis=1)
+        ids = ids[np.isfinite(ends).all(axis=1)]  # of others there is nothing to grow from
         for first in range(0, len(ids), self.pool):
             grow(
                 self.robot,
