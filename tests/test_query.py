@@ -11,7 +11,8 @@ from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_queries, check_query
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import box_scene, make_scene
+from gnnjax.scene.scene import box_scene, make_scene, scene_from_shapes
+from gnnjax.scene.shapes import box, half_space
 from tests.fine_scan import random_scene
 
 
@@ -41,9 +42,9 @@ def queries(robot):
         (free, [1e300, 0, 0], away, "start has inf for joint a"),
         (free, away, [0.0, np.nan, 0], "goal has nan for joint b; it must lie between"),
         (free, away, away, None),
-        (base, away, away, "box 1 of the scene touches the base of tiny"),
+        (base, away, away, "box 1 of the scene reaches .* mm into the base of tiny"),
         (long, away, away, "existing obstacle 0 of the scene has quats"),
-        (base, [9.0, 0, 0], away, "box 1 of the scene touches the base of tiny"),
+        (base, [9.0, 0, 0], away, "box 1 of the scene reaches .* mm into the base of tiny"),
         (nan._replace(mask=free.mask & False), away, away, None),
     ]
     scenes, starts, goals, faults = zip(*rows, strict=True)
@@ -95,3 +96,32 @@ def test_boxes_touch_the_base_where_the_kernels_say_so(robot, name):
     kernel = jax.vmap(lambda s: boxes_clear(robot, s, jnp.asarray(robot.home), base_only=True))
     np.testing.assert_array_equal(found, kernel(scenes))
     assert 50 < (~found).sum() < 950
+
+
+@pytest.mark.parametrize("name", ["kuka_iiwa14", "kinova_gen3", "franka_panda"])
+def test_arms_may_stand_on_a_floor_and_not_in_one(name):
+    robot = load_robot(name)
+    floor = half_space([0, 0, 0], [0, 0, 1])
+    q = robot.home
+    assert check_query(robot, scene_from_shapes([floor]), q, q)
+    beside = box([0.3, 0, 0.02], [0.05, 0.05, 0.02])
+    deep = half_space([0, 0, 0.03], [0, 0, 1])
+    around = box([0, 0, 0.05], [0.3, 0.3, 0.01])
+    assert check_query(robot, scene_from_shapes([floor, beside]), q, q)
+    for shapes, named in (([deep], "half_space 0"), ([floor, around], "box 0")):
+        with pytest.raises(InputError, match=rf"{named} of the scene reaches \d+ mm into the base"):
+            check_query(robot, scene_from_shapes(shapes), q, q)
+
+
+def test_what_collides_is_named_and_degrees_are_asked_about():
+    robot = load_robot("kuka_iiwa14")
+    scene = make_scene([[0.0, 0.0, 1.1]], [[0.1] * 3])
+    q = np.zeros(7)
+    with pytest.raises(
+        InputError, match=r"start .* in collision: link_\d and box 0 overlap by .* mm"
+    ):
+        check_query(robot, scene, q, q)
+    with pytest.raises(
+        InputError, match=r"90 for joint joint_4; .* \(radians; are these degrees\?"
+    ):
+        check_query(robot, make_scene([], []), [0, 0, 0, 90, 0, 0, 0], q)

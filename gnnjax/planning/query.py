@@ -11,8 +11,11 @@ from gnnjax.collision.certify import base_clear, check_scene, clearances
 from gnnjax.collision.obstacles import scene_faults
 from gnnjax.errors import InputError, one_line
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.mujoco_world import deepest_contact
+from gnnjax.scene.mujoco_world import deepest_contact, depth_in_base
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
+
+# m; how far what the base stands on may reach into it.
+BASE_CONTACT = 0.005
 
 
 class Plan(NamedTuple):
@@ -130,9 +133,16 @@ def _base_reasons(robot: Robot, scenes: Scene) -> list[str | None]:
     reasons: list[str | None] = []
     for i, row in enumerate(base_clear(robot, scenes)):
         reason = None
-        if not row.all():
-            name = obstacle_name(jax.tree.map(lambda x, i=i: x[i], scenes), int(row.argmin()))
-            reason = f"{name} of the scene touches the base of {robot.name}; move it away"
+        scene = jax.tree.map(lambda x, i=i: x[i], scenes)
+        # Spheres stand out of the base, and it stands on something.
+        for touching in np.flatnonzero(~row).tolist():
+            depth = depth_in_base(robot, scene, touching)
+            if depth > BASE_CONTACT:
+                reason = (
+                    f"{obstacle_name(scene, touching)} of the scene reaches {1e3 * depth:.0f} mm "
+                    f"into the base of {robot.name}; move it away"
+                )
+                break
         reasons.append(reason)
     return reasons
 

@@ -142,7 +142,7 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
         for a, b in pairs
     ]
     placed = obstacles(model, len(scene.mask)).geoms
-    moving = [number for number, g in enumerate(parts) if model.body_weldid[model.geom_bodyid[g]]]
+    moving = [number for number, g in enumerate(parts) if _is_moved(model, g)]
     for i in np.flatnonzero(scene.mask).tolist():
         name = obstacle_name(scene, i)
         found += [
@@ -151,6 +151,22 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
         ]
     depth, first, second = max(found, default=(0.0, "", ""))
     return Contact(first, second, depth) if depth > 0 else None
+
+
+def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
+    """How far an obstacle of one scene reaches into what no joint moves of the arm, m; 0 or less
+    where it does not."""
+    model = _cached_world(robot, len(scene.mask))
+    data = mujoco.MjData(model)
+    place_boxes(model, data, scene)
+    mujoco.mj_kinematics(model, data)
+    obstacle = int(obstacles(model, len(scene.mask)).geoms[i])
+    fixed = [g for g in robot.part_geom_ids.tolist() if not _is_moved(model, g)]
+    return max((depth_of(model, data, g, obstacle) for g in fixed), default=0.0)
+
+
+def _is_moved(model: mujoco.MjModel, geom: int) -> bool:
+    return bool(model.body_weldid[model.geom_bodyid[geom]])
 
 
 def depth_of(model: mujoco.MjModel, data: mujoco.MjData, first: int, second: int) -> float:
