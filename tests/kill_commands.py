@@ -137,7 +137,7 @@ def _evaluate(folder: Path) -> None:
         mock.patch.object(gnnjax.evaluate, "_WRITE_EVERY_S", -1.0),
         mock.patch.object(gnnjax.evaluate, "describe_machine", dict),
         mock.patch.object(
-            gnnjax.evaluate, "check_queries", lambda _, asked: [None] * len(asked.start)
+            gnnjax.evaluate, "check_queries", lambda _, asked, margin: [None] * len(asked.start)
         ),
         mock.patch.object(gnnjax.evaluate, "straight_line_blocked", return_value=hard),
     ):

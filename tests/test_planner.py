@@ -186,7 +186,7 @@ def test_an_arm_of_a_box_is_planned_for_by_its_spheres_or_by_mjx(tmp_path):
     for checker in ("fused", "mjx"):
         planner = load_planner(path, "lazysp", checker=checker)
         assert planner.plan(make_scene([], []), [0.0], [1.0]).success
-        with pytest.raises(InputError, match=r"start .* is in collision"):
+        with pytest.raises(InputError, match=r"start .* is in collision: brick and box 0 overlap"):
             planner.plan(make_scene([[0.2, 0, 0]], [[0.15] * 3]), [0.0], [1.0])
 
 

@@ -100,11 +100,11 @@ def test_stored_roadmaps_depend_on_the_seed_alone(robot, stored):
 
 def test_an_arm_that_always_collides_is_refused(tmp_path):
     path = tmp_path / "stuck.xml"
-    arm = '<mujoco><compiler angle="radian"/><worldbody><geom type="sphere" size="0.3"/>'
-    arm += '<body><joint range="-1 1" limited="true"/><geom type="sphere" size="0.1"/>'
-    arm += '<body pos="0.1 0 0"><joint range="-1 1" limited="true"/>'
-    path.write_text(arm + '<geom type="sphere" size="0.1"/></body></body></worldbody></mujoco>')
-    with pytest.raises(InputError, match="stuck is in self-collision at nearly every"):
+    # Between two spheres, of which it touches one or the other wherever it turns.
+    arm = '<mujoco><compiler angle="radian"/><worldbody><geom pos="0.44 0.24 0" size="0.35"/>'
+    arm += '<geom pos="0.44 -0.24 0" size="0.35"/><body><joint range="-1 1" limited="true"/>'
+    path.write_text(arm + '<geom pos="0.5 0 0" size="0.1"/></body></worldbody></mujoco>')
+    with pytest.raises(InputError, match="stuck.xml. collides with itself in all of"):
         stored_roadmap(load_robot(path), 20, 0)
 
 

@@ -203,7 +203,8 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
                 touching = jnp.where(squared > inner_reach**2, float(OPEN), float(BLOCKED))
             return jnp.where(squared > reach**2, float(FREE), touching)
 
-        return smallest_value(obstacles, q, value, lambda least: least > BLOCKED)
+        least = smallest_value(obstacles, q, value, lambda least: least > BLOCKED)
+        return jnp.where(least < FREE, least, float(FREE))  # infinite where there is nothing
 
     # Of the pairs of `exact_test`: which bit of which word they are.
     part_of, pair_of = robot.geom_parts.tolist(), _part_pairs(robot)

@@ -195,9 +195,8 @@ def _check_further(source: str, extras: dict[str, np.ndarray]) -> None:
             continue
         if singular & _SHAPE_WORDS or name.lower().endswith(_SHAPE_ENDINGS):
             raise InputError(
-                f"{source} has the array {name!r}, which names obstacles that are not "
-                f"known; there are {list(KINDS)}: enclose them in those, or rename the array if "
-                "it holds none"
+                f"{source} has the array {name!r}, which names obstacles of no known kind; take "
+                "others, or rename it if it holds none"
             )
 
 
