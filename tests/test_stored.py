@@ -104,7 +104,7 @@ def test_an_arm_that_always_collides_is_refused(tmp_path):
     arm = '<mujoco><compiler angle="radian"/><worldbody><geom pos="0.44 0.24 0" size="0.35"/>'
     arm += '<geom pos="0.44 -0.24 0" size="0.35"/><body><joint range="-1 1" limited="true"/>'
     path.write_text(arm + '<geom pos="0.5 0 0" size="0.1"/></body></worldbody></mujoco>')
-    with pytest.raises(InputError, match="stuck.xml. collides with itself in all of"):
+    with pytest.raises(InputError, match=r"stuck.xml. collides with itself in all of"):
         stored_roadmap(load_robot(path), 20, 0)
 
 

@@ -11,10 +11,12 @@ import numpy as np
 
 from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.planning.progress import Progress
+from gnnjax.planning.query import path_length
 from gnnjax.scene.scene import Scene
 
 _POINTS = 14  # of a piece of a path, its corners among them
 _PASSES = 3  # each along what the one before has found; long paths take more
+_GAIN = 0.98  # of a path's length; where a pass leaves more, it was the last
 _PIECES_AT_ONCE = 64
 _FIRST, _SECOND = np.triu_indices(_POINTS, 1)  # [E] the motions
 
@@ -53,7 +55,10 @@ def cut_short(progress: Progress, tester: SequenceTester, scenes: Scene, ids: np
         joined = [
             np.concatenate([*(x[:-1] for x in shorter[i]), shorter[i][-1][-1:]]) for i in bent
         ]
+        before = np.array([path_length(progress.paths[i]) for i in bent])
         progress.certify(bent, joined)
+        after = np.array([path_length(progress.paths[i]) for i in bent])
+        passes[bent[after > _GAIN * before]] = 3 * _PASSES
         progress.spend(bent, begin)
 
 
