@@ -137,7 +137,7 @@ def slow_in_a_pool(results):
         row["per_s"] = [1.0 for _ in row["per_s"]]
 
 
-def a_hand_that_fits(results):
+def all_of_them_solved(results):
     for row in of_planner(results, "guided"):
         row["num_accepted"] = row["num_problems"]
         row |= {"success_of_all": 1.0, "success": 1.0}
@@ -148,8 +148,8 @@ def a_hand_that_fits(results):
     [
         (
             "motion_bench_maker",
-            a_hand_that_fits,
-            "Does not hold: 0 of 140 problems have both ends free",
+            all_of_them_solved,
+            "What does not hold: 137 of these 140 are solved",
             "140 of 140 problems have both ends free; 140 of these 140 are solved",
         ),
         ("throughput", slow_in_a_pool, "Holds: ", "does not hold: all accepted problems: guided"),
