@@ -6,6 +6,7 @@ two parts, whose spheres touch, and has each tested as convex bodies (`convex.py
 until one is found in contact or all are apart.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -43,6 +44,13 @@ class Placed(NamedTuple):
 
 def hulls_of(robot: Robot) -> convex.Parts:
     """The arm's parts, with few vertices each, standing out by `SIMPLER` at most."""
+    vertices, radii = _simpler(robot)
+    return convex.Parts(jnp.asarray(vertices), jnp.asarray(radii))
+
+
+@functools.cache
+def _simpler(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices `[T V 3]` and radii `[T]`; a second of work that kernels and certificates share."""
     simple = [
         (p.vertices, 0.0) if len(p.vertices) <= 8 else simplify(p.vertices, SIMPLER)
         for p in robot.parts
@@ -50,7 +58,7 @@ def hulls_of(robot: Robot) -> convex.Parts:
     most = max(len(vertices) for vertices, _ in simple)
     vertices = [np.pad(v, ((0, most - len(v)), (0, 0)), "edge") for v, _ in simple]
     radii = [p.radius + more for p, (_, more) in zip(robot.parts, simple, strict=True)]
-    return convex.Parts(jnp.asarray(vertices, jnp.float32), jnp.asarray(radii, jnp.float32))
+    return np.array(vertices, np.float32), np.array(radii, np.float32)
 
 
 def exact_test(robot: Robot) -> Callable[[Placed, Touching, Float[Array, "C D"]], jax.Array]:

@@ -239,14 +239,17 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
                     words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
                 return words
 
+            # One turn, which the compiler must not know.
             pairs = jax.lax.fori_loop(0, jnp.minimum(obstacles.num + 1, 1), self_turn, pairs)
         stacked = jnp.stack(pairs) if pairs else jnp.zeros((0, len(q)), jnp.uint32)
         return Touching(parts, stacked)
 
-    is_free_exactly = exact_test(robot)
+    # Nobody asks it of an arm whose spheres leave nothing open.
+    is_free_exactly = exact_test(robot) if is_open else None
 
     def decide(obstacles: _Obstacles, q: jax.Array) -> jax.Array:
         """Whether configurations with obstacles of their own are free, by their parts."""
+        assert is_free_exactly is not None
         *parts, _ = obstacles
         return is_free_exactly(Placed(*parts), touching(obstacles, q), q)
 

@@ -26,11 +26,7 @@ class Hulls:
 
     def __init__(self, robot: Robot):
         self.radii = np.array([part.radius for part in robot.parts])
-        self.bodies = np.array([part.body for part in robot.parts])
-        most = max(len(part.vertices) for part in robot.parts)
-        self.vertices = np.stack(  # [T V 3]; those that are missing repeat the last
-            [np.pad(p.vertices, ((0, most - len(p.vertices)), (0, 0)), "edge") for p in robot.parts]
-        )
+        self.vertices = [part.vertices for part in robot.parts]
         self._parts = hulls_of(robot)
         self._to_obstacles = jax.jit(convex.separate_obstacles)
         self._to_parts = jax.jit(convex.separate_parts)
