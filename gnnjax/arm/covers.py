@@ -187,5 +187,6 @@ def _save(file: Path, covers: list[Cover]) -> None:
     ]
     try:
         atomic_write(file, lambda part: np.save(part, np.concatenate(tables)))
-    except OSError as error:  # a full disk, a folder of somebody else: they are fitted again then
-        _LOG.warning("spheres are not kept in %s: %s", file.parent, error.strerror)
+    # A full disk, a folder of somebody else, a file in its place: they are fitted again then.
+    except (OSError, InputError) as error:
+        _LOG.warning("spheres are not kept in %s: %s", file.parent, error)
