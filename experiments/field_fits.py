@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.guide_edges import StoredEdges, clock, each_scene
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.fused import moved_by_joint
+from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.guide.field import margin_function, reach_grid
 from gnnjax.planning.guided import EDGE_PIECES
 from gnnjax.scene.field import distance_field

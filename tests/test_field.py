@@ -10,7 +10,7 @@ from scipy.stats import rankdata
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.collision.fused import moved_by_joint
+from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.guide.field import (
     CALIBRATION,
     SPACING,

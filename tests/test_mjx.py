@@ -15,7 +15,6 @@ from experiments.compare_labels import CompareConfig, _points, main
 from experiments.engine import Engine
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.collision.fused import FREE
 from gnnjax.collision.mjx import _placer
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
@@ -127,8 +126,8 @@ def test_verdicts_are_those_of_the_fused_kernels_first_level(name, request):
     for num_boxes in (0, 4, 9):
         scene, q = random_scene(rng, num_boxes), random_configurations(rng, robot, 600)
         valid, free = np.asarray(check(scene, q)), np.asarray(fully(scene, q))
-        scenes, owner = jax.tree.map(lambda x: x[None], scene), np.zeros(len(q), np.int32)
-        found = np.asarray(first(scenes, owner, q)) == FREE
+        placed = fused.place(jax.tree.map(lambda x: x[None], scene))
+        found = np.asarray(first(placed, np.zeros(1, np.int32), q[None]))[0] == 0
         sure = np.abs(np.asarray(clearance(scene, q))) > 1e-4
         assert (valid == found)[sure].all()
         assert free[valid & sure].all()

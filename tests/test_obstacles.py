@@ -140,7 +140,8 @@ def test_kernels_and_certificate_agree_with_the_c_engine_on_every_kind(arm, tiny
     assert (blocked_by >= 5).all()
     # One configuration in each of many scenes.
     owner = np.arange(len(q)) % len(scenes)
-    each = np.asarray(jax.jit(checker.check_each)(stacked(scenes), owner, q))
+    placed = checker.place(stacked(scenes))
+    each = np.asarray(jax.jit(checker.check_each)(placed, owner, q[:, None]))[:, 0]
     alone = np.stack([np.asarray(check(scene, q)) for scene in scenes])
     np.testing.assert_array_equal(each, alone[owner, np.arange(len(q))])
 

@@ -40,7 +40,8 @@ arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.covers 
 arm.robot arm.kinematics
 scene.shapes scene.scene scene.scene_file scene.geometry scene.field scene.mujoco_world
 scene.pose scene.messages scene.moveit scene.from_mjcf
-collision.simplex collision.convex collision.exact collision.components collision.fused
+collision.spheres collision.simplex collision.convex collision.exact collision.components
+collision.fused
 collision.mjx collision.checker collision.sequences collision.obstacles collision.hulls
 collision.bounds collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored

@@ -107,7 +107,7 @@ def test_sequences_are_what_the_checker_says_of_single_edges(robot, checker, tes
         return checks.valid[0], int(checks.num_checks[0])
 
     items = random_items(robot, np.random.default_rng(1), 80)
-    outcome = tester(scenes, items, 80)
+    outcome = tester(tester.place(scenes), items, 80)
     assert_same(outcome, one_by_one(items, 80, test))
     assert 15 < outcome.refuted.sum() < 65
     assert (outcome.num_edges == 0).any()
@@ -147,7 +147,7 @@ def test_sequences_are_what_mujoco_says_configuration_by_configuration(robot, te
     # Few sequences and many: other stretches, and other blocks.
     for num, most in ((3, 12), (60, 8), (400, 3)):
         items = random_items(robot, np.random.default_rng(num), num, most, reach=0.8)
-        outcome = tester(scenes, items, num)
+        outcome = tester(tester.place(scenes), items, num)
         assert_same(outcome, one_by_one(items, num, test))
         assert 0 < outcome.refuted.sum() < num
 
@@ -155,24 +155,24 @@ def test_sequences_are_what_mujoco_says_configuration_by_configuration(robot, te
 def test_a_sequence_comes_out_the_same_whoever_shares_the_call(robot, tester, scenes):
     rng = np.random.default_rng(2)
     items = random_items(robot, rng, 40)
-    together = tester(scenes, items, 40)
+    together = tester(tester.place(scenes), items, 40)
     for chosen in (rng.permutation(40), rng.permutation(40)[:7], *np.arange(40)[:, None]):
-        outcome = tester(scenes, of_sequence(items, chosen), len(chosen))
+        outcome = tester(tester.place(scenes), of_sequence(items, chosen), len(chosen))
         assert_same(outcome, [part[chosen] for part in together])
 
 
 def test_a_sequence_does_not_depend_on_the_direction_of_its_motions(robot, tester, scenes):
     items = random_items(robot, np.random.default_rng(3), 60)
-    there = tester(scenes, items, 60)
+    there = tester(tester.place(scenes), items, 60)
     motion = items.motion[:, None]
     back = items._replace(
         starts=np.where(motion, items.ends, items.starts),
         ends=np.where(motion, items.starts, items.ends),
     )
-    assert_same(tester(scenes, back, 60), there)
+    assert_same(tester(tester.place(scenes), back, 60), there)
     # Ends of items that are no motions are not looked at.
     blind = items._replace(ends=np.where(motion, items.ends, np.float32(np.nan)))
-    assert_same(tester(scenes, blind, 60), there)
+    assert_same(tester(tester.place(scenes), blind, 60), there)
 
 
 def test_motions_shorter_than_the_resolution_and_empty_sequences_hold(tester, scenes):
@@ -180,14 +180,14 @@ def test_motions_shorter_than_the_resolution_and_empty_sequences_hold(tester, sc
     starts = np.full((4, 3), 9.0, np.float32)
     ends = starts + np.float32([[0.0], [0.01], [0.028], [0.0288]])  # the last is 0.0499 long
     items = Items(np.array([1, 1, 3, 3]), np.zeros(4, int), starts, ends, np.ones(4, bool))
-    outcome = tester(scenes, items, 5)
+    outcome = tester(tester.place(scenes), items, 5)
     assert outcome.num_valid.tolist() == [0, 2, 0, 2, 0]
     assert outcome.num_edges.tolist() == [0, 2, 0, 2, 0]
     assert not outcome.refuted.any()
     assert not outcome.num_checks.any()
     nothing = Items(*(part[:0] for part in items))
     for num in (0, 2):
-        for part in tester(scenes, nothing, num):
+        for part in tester(tester.place(scenes), nothing, num):
             np.testing.assert_array_equal(part, np.zeros(num))
 
 
@@ -195,7 +195,7 @@ def test_a_refuted_item_after_items_that_need_no_test_is_counted_where_it_stands
     here, beyond = np.zeros(3, np.float32), np.full(3, 9, np.float32)
     starts = np.stack([here, here, beyond, here])
     items = Items(np.zeros(4, int), np.full(4, 2), starts, starts, np.array([1, 0, 0, 1], bool))
-    outcome = tester(scenes, items, 1)
+    outcome = tester(tester.place(scenes), items, 1)
     assert [int(part[0]) for part in outcome] == [2, 1, 2, 1]
 
 
@@ -212,14 +212,14 @@ def test_a_refuted_item_after_items_that_need_no_test_is_counted_where_it_stands
 )
 def test_an_item_that_is_no_number_is_refuted_alone(robot, tester, scenes, side, is_motion, bad):
     items = random_items(robot, np.random.default_rng(4), 30)
-    whole = tester(scenes, items, 30)
+    whole = tester(tester.place(scenes), items, 30)
     first = np.searchsorted(items.sequence, np.arange(30))
     # In the middle of a sequence that holds up to there.
     s = int(np.flatnonzero(whole.num_valid >= 4)[0])
     i = first[s] + 2
     motion, changed = items.motion.copy(), getattr(items, side).copy()
     motion[i], changed[i, 1] = is_motion, bad
-    outcome = tester(scenes, items._replace(motion=motion, **{side: changed}), 30)
+    outcome = tester(tester.place(scenes), items._replace(motion=motion, **{side: changed}), 30)
     others = np.arange(30) != s
     assert_same([part[others] for part in outcome], [part[others] for part in whole])
     assert outcome.num_valid[s] == 2
@@ -242,14 +242,14 @@ def test_thousands_of_configurations_in_one_call(robot, checker, tester, scenes)
     assert 200 < (~valid).sum() < num - 200
     before = tester.computed
     items = Items(np.arange(num), owner, q, q, np.zeros(num, bool))
-    outcome = tester(scenes, items, num)
+    outcome = tester(tester.place(scenes), items, num)
     assert_same(outcome, (valid, ~valid, np.ones(num), np.zeros(num)))
     assert num <= tester.computed - before < 1.1 * num
     # All in one sequence.
     owner = np.full(num, 2)
     q = np.concatenate([np.zeros((num - 50, 3)), np.full((50, 3), 9)]).astype(np.float32)
     items = Items(np.zeros(num, int), owner, q, q, np.zeros(num, bool))
-    outcome = tester(scenes, items, 1)
+    outcome = tester(tester.place(scenes), items, 1)
     assert [int(part[0]) for part in outcome] == [num - 50, 1, num - 49, 0]
 
 
@@ -262,12 +262,12 @@ def test_everything_is_compiled_beforehand(robot, scenes):
         return checker.check_each(*args)
 
     tester = SequenceTester(robot, checker._replace(check_each=check_each), EDGE_RESOLUTION)
-    tester.warm_up(scenes, 3)
-    assert traced == [(64, 3), (512, 3)]
+    tester.warm_up(tester.place(scenes), 3)
+    assert traced == [(8, 8, 3), (64, 8, 3)]
     assert tester.computed == 0
     rng = np.random.default_rng(6)
     for num in (1, 5, 30):
-        tester(scenes, random_items(robot, rng, num, reach=0.8), num)
+        tester(tester.place(scenes), random_items(robot, rng, num, reach=0.8), num)
     assert len(traced) == 2
 
 
@@ -280,7 +280,7 @@ def test_each_in_its_own_scene_is_all_in_one_scene(robot, backend):
     q = random_configurations(robot, rng, 256)
     q[:3, 1] = np.nan, np.inf, 9.0
     owner = rng.integers(0, NUM_SCENES, 256).astype(np.int32)
-    found = np.asarray(check_each(scenes, owner, q))
+    found = np.asarray(check_each(checker.place(scenes), owner, q[:, None]))[:, 0]
     alone = [check(jax.tree.map(lambda x, p=p: x[p], scenes), q) for p in range(NUM_SCENES)]
     np.testing.assert_array_equal(found, np.stack(alone)[owner, np.arange(256)])
     assert not found[:3].any()
@@ -298,9 +298,9 @@ def test_unrotated_boxes_are_the_same_to_a_kernel_that_relies_on_it(robot):
     scenes = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *scenes)
     q = random_configurations(robot, rng, 256)
     owner = rng.integers(0, NUM_SCENES, 256).astype(np.int32)
+    checkers = [make_checker(robot, axis_aligned=aligned) for aligned in (False, True)]
     found = [
-        np.asarray(jax.jit(make_checker(robot, axis_aligned=aligned).check_each)(scenes, owner, q))
-        for aligned in (False, True)
+        np.asarray(jax.jit(c.check_each)(c.place(scenes), owner, q[:, None])) for c in checkers
     ]
     np.testing.assert_array_equal(*found)
     assert 20 < found[0].sum() < 236

@@ -33,7 +33,9 @@ def compiled_routes(points, price, status, node_status):
 def outer(tiny_path):
     robot = load_robot(tiny_path)
     tester = SequenceTester(robot, make_checker(robot), EDGE_RESOLUTION)
-    return Pool(1, Clock(), tester, make_scene([], []))
+    return Pool(
+        1, Clock(), tester, tester.place(jax.tree.map(lambda x: x[None], make_scene([], [])))
+    )
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path, clearances
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.sequences import SequenceTester
-from gnnjax.planning.engine import scenes_on_device
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import path_length
 from gnnjax.planning.shortcuts import _POINTS, _shortest, _spread, cut_short
@@ -42,18 +41,18 @@ def problems(robot):
 
 def grown(robot, tester, problems, effort=1, time_limit=np.inf):
     progress = Progress(robot, problems)
-    scenes, ids = scenes_on_device(progress.problems.scene), np.arange(len(problems.start))
-    grow(robot, progress, tester, scenes, ids, 0, effort, time_limit)
-    return progress, scenes
+    placed, ids = tester.place(progress.problems.scene), np.arange(len(problems.start))
+    grow(robot, progress, tester, placed, ids, 0, effort, time_limit)
+    return progress, placed
 
 
 def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, tester, problems):
-    progress, scenes = grown(robot, tester, problems)
+    progress, placed = grown(robot, tester, problems)
     solved = np.flatnonzero([path is not None for path in progress.paths])
     assert len(solved) >= 10
     before = [path_length(progress.paths[i]) for i in solved]
     checks = progress.search_checks.copy()
-    cut_short(progress, tester, scenes, solved)
+    cut_short(progress, tester, placed, solved)
     after = [path_length(progress.paths[i]) for i in solved]
     assert (np.array(after) <= np.array(before) + 1e-5).all()
     assert sum(after) < 0.95 * sum(before)
@@ -65,8 +64,8 @@ def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, tester, 
 
 
 def test_a_problem_has_the_same_path_alone(robot, tester, problems):
-    together, scenes = grown(robot, tester, problems)
-    cut_short(together, tester, scenes, np.flatnonzero([p is not None for p in together.paths]))
+    together, placed = grown(robot, tester, problems)
+    cut_short(together, tester, placed, np.flatnonzero([p is not None for p in together.paths]))
     for i in (0, 3, 7):
         alone, scene = grown(robot, tester, jax.tree.map(lambda x, i=i: x[i : i + 1], problems))
         if alone.paths[0] is None:

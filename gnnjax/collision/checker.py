@@ -9,7 +9,7 @@ the outcome. `boxes_clear` tests them, once a scene.
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.fused import BLOCKED, Levels, fused_functions
+from gnnjax.collision.fused import Levels, fused_functions
+from gnnjax.collision.spheres import BLOCKED
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
 
@@ -47,14 +48,16 @@ class Checker(NamedTuple):
 
     `clearance(scene, q [*batch D]) -> [*batch]` m, positive when clear of boxes and itself.
     `check_configurations(scene, nodes [B D]) -> [B]`, true where valid.
-    `check_each(scenes [P], owner [B], nodes [B D]) -> [B]`, each in a scene of its own.
+    `place(scenes [P])` is what the next one needs of scenes, computed once for many calls.
+    `check_each(placed, owner [G], nodes [G T D]) -> [G T]`, groups of T that share a scene.
     `check_edges(scene, starts [E D], ends [E D]) -> EdgeChecks [E]`; tests the configurations
     between the ends, which the caller has tested as nodes.
     """
 
     clearance: Callable[[Scene, jax.Array], jax.Array]
     check_configurations: Callable[[Scene, jax.Array], jax.Array]
-    check_each: Callable[[Scene, jax.Array, jax.Array], jax.Array]
+    place: Callable[[Scene], Any]
+    check_each: Callable[[Any, jax.Array, jax.Array], jax.Array]
     check_edges: Callable[[Scene, jax.Array, jax.Array], EdgeChecks]
     levels: Levels | None = None  # `check_each` in two steps, where it has two
 
@@ -95,9 +98,9 @@ def make_checker(
         return inside_limits(nodes) & functions.collision_free(scene, nodes)
 
     def check_each(
-        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
-    ) -> Bool[Array, " B"]:
-        return inside_limits(nodes) & functions.collision_free_each(scenes, owner, nodes)
+        placed: Any, owner: Int[Array, " G"], nodes: Float[Array, "G T D"]
+    ) -> Bool[Array, "G T"]:
+        return inside_limits(nodes) & functions.collision_free_each(placed, owner, nodes)
 
     order = bisection_order(most_intervals(robot, resolution))
 
@@ -112,11 +115,18 @@ def make_checker(
     if levels is not None:
         first, second = levels
 
-        def check_first(scenes: Scene, owner: jax.Array, nodes: jax.Array) -> jax.Array:
-            return jnp.where(inside_limits(nodes), first(scenes, owner, nodes), BLOCKED)
+        def check_first(placed: Any, owner: jax.Array, nodes: jax.Array) -> jax.Array:
+            return jnp.where(inside_limits(nodes), first(placed, owner, nodes), BLOCKED)
 
         levels = Levels(check_first, second)
-    return Checker(functions.clearance, check_configurations, check_each, check_edges, levels)
+    return Checker(
+        functions.clearance,
+        check_configurations,
+        functions.place,
+        check_each,
+        check_edges,
+        levels,
+    )
 
 
 def most_intervals(robot: Robot, resolution: float) -> int:

@@ -8,38 +8,21 @@ until one is found in contact or all are apart.
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from gnnjax.arm.hulls import simplify
 from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
+from gnnjax.collision.spheres import ITSELF, OBSTACLE_BITS, Obstacle, Passes, Placed
 
 SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
-WORD = 32  # bits
-
-
-class Touching(NamedTuple):
-    """Which spheres touch at C configurations, as bits of words."""
-
-    # Bit p % 32 of word p // 32: spheres of part p touch the obstacle.
-    parts: UInt[Array, "M W C"]
-    # Bit u % 32 of word u // 32: spheres of the two of `Robot.part_pairs[u]` touch.
-    pairs: UInt[Array, "V C"]
-
-
-class Placed(NamedTuple):
-    """M obstacles, for each of C configurations its own."""
-
-    origins: Float[Array, "M 3 C"]  # m, of the base, seen from the obstacle
-    rotations: Float[Array, "M 3 3 C"]  # base to obstacle
-    half_extents: Float[Array, "M 3 C"]  # m
-    radii: Float[Array, "M 2 C"]  # m, of disc and ball
+_WORD = 32  # bits
 
 
 def hulls_of(robot: Robot) -> convex.Parts:
@@ -61,25 +44,71 @@ def _simpler(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return np.array(vertices, np.float32), np.array(radii, np.float32)
 
 
-def exact_test(robot: Robot) -> Callable[[Placed, Touching, Float[Array, "C D"]], jax.Array]:
-    """Makes the function `(obstacles, touching, q [C D]) -> [C]`, true where the arm is free."""
+def exact_test(
+    robot: Robot, passes: Passes
+) -> Callable[[Placed, jax.Array, jax.Array, jax.Array], jax.Array]:
+    """Makes the function `(placed, owner [C], words [C], q [C D]) -> [C]`, true where the arm is
+    free of all that words name (see `spheres.py`)."""
     hulls = hulls_of(robot)
     # The world's frame comes last.
     bodies = jnp.array([part.body for part in robot.parts])
     couples = jnp.asarray(robot.part_pairs.T)
+    radii, part_of, pair_of = robot.geom_radii.tolist(), robot.geom_parts.tolist(), _pairs(robot)
 
-    def free(obstacles: Placed, touching: Touching, q: Float[Array, "C D"]) -> Bool[Array, " C"]:
+    def touching(obstacle: Obstacle, q: Float[Array, "N D"]) -> UInt[Array, "W N"]:
+        """Bit p % 32 of word p // 32: spheres of part p touch the obstacle."""
+        found = [jnp.zeros(len(q), jnp.uint32)] * -(-len(bodies) // _WORD)
+        for g, squared, ball in passes.to_obstacle(joint_terms(robot, q), obstacle):
+            word, bit = divmod(part_of[g], _WORD)
+            hit = ~(squared > (radii[g] + ball) ** 2)
+            found[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
+        return jnp.stack(found)
+
+    def touching_itself(q: Float[Array, "C D"], turns: jax.Array) -> UInt[Array, "V C"]:
+        """Bit u % 32 of word u // 32: spheres of the two of `Robot.part_pairs[u]` touch."""
+        joints = joint_terms(robot, q)
+        words = [jnp.zeros(len(q), jnp.uint32)] * -(-couples.shape[1] // _WORD)
+        for pairs in passes.self_pairs:
+
+            def self_turn(_, words, pairs=pairs):
+                fresh, words = jax.lax.optimization_barrier((joints, words))
+                words = list(words)
+                for i, j, squared in passes.to_itself(fresh, pairs):
+                    word, bit = divmod(pair_of[part_of[i], part_of[j]], _WORD)
+                    hit = ~(squared > (radii[i] + radii[j]) ** 2)
+                    words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
+                return words
+
+            # One turn or none, which the compiler must not know.
+            words = jax.lax.fori_loop(0, turns, self_turn, words)
+        return jnp.stack(words)
+
+    def free(
+        placed: Placed, owner: Int[Array, " C"], words: UInt[Array, " C"], q: Float[Array, "C D"]
+    ) -> Bool[Array, " C"]:
         frames = _frames(robot, q)
 
-        def from_obstacles(pair: jax.Array, at: jax.Array) -> jax.Array:
-            number, part = jnp.divmod(pair, len(bodies))
-            own = Placed(*(x[number, ..., at] for x in obstacles))  # [N ...]
-            turned = jnp.moveaxis(own.rotations, 0, -1)
-            position, rotation = _seen(turned, *frames[bodies[part], at])
-            position = position + own.origins.T
-            disc, ball = own.radii.T
-            shapes = convex.Obstacles(own.half_extents.T, disc, ball)
-            return convex.separate_obstacles(hulls, part, position, rotation, shapes, position).gaps
+        def clear_of(number: jax.Array, at: jax.Array, wanted: jax.Array) -> jax.Array:
+            """Whether the arm is clear of obstacles at configurations, all `[N]`."""
+            of = owner[at]
+            parts = jax.tree.map(
+                lambda x: jnp.moveaxis(x[number, ..., of], 0, -1), tuple(placed)[:-1]
+            )
+            obstacle = Obstacle(*parts)
+            turned = obstacle.rotation
+            if turned is None:
+                turned = jnp.broadcast_to(jnp.eye(3)[..., None], (3, 3, len(at)))
+
+            def gaps(part: jax.Array, lane: jax.Array) -> jax.Array:
+                position, rotation = _seen(turned[..., lane], *frames[bodies[part], at[lane]])
+                position = position + obstacle.origin[:, lane]
+                disc, ball = obstacle.radii[:, lane]
+                shapes = convex.Obstacles(obstacle.half_extents[:, lane], disc, ball)
+                return convex.separate_obstacles(
+                    hulls, part, position, rotation, shapes, position
+                ).gaps
+
+            return _test_pairs(_bits(touching(obstacle, q[at]), len(bodies)), gaps, wanted)
 
         def from_parts(pair: jax.Array, at: jax.Array) -> jax.Array:
             first, second = couples[:, pair]
@@ -92,13 +121,38 @@ def exact_test(robot: Robot) -> Callable[[Placed, Touching, Float[Array, "C D"]]
                 hulls, first, position, rotation, second, position, nothing
             ).gaps
 
-        valid = jnp.ones(len(q), bool)
-        valid = _test_pairs(_bits(touching.parts, len(bodies)), from_obstacles, valid)
+        num, number = len(q), jnp.arange(len(placed.origins))
+        named = (words >> (number % OBSTACLE_BITS)[:, None]) & 1 > 0
+        left = (named & (number[:, None] < placed.num[owner])).reshape(-1)
+
+        def some_obstacles(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            left, valid = state
+            # Most configurations have one; the others wait.
+            (found,) = jnp.nonzero(left, size=num + num // 4, fill_value=len(left))
+            number, at = jnp.divmod(jnp.minimum(found, len(left) - 1), num)
+            wanted = found < len(left)
+            clear = clear_of(number, at, wanted)
+            valid = valid.at[jnp.where(wanted & ~clear, at, num)].set(False, mode="drop")
+            left = left.at[found].set(False, mode="drop")
+            return left & jnp.tile(valid, len(left) // num), valid
+
+        state = left, jnp.ones(num, bool)
+        valid = jax.lax.while_loop(lambda state: jnp.any(state[0]), some_obstacles, state)[1]
         if couples.size:
-            valid = _test_pairs(_bits(touching.pairs, couples.shape[1]), from_parts, valid)
+            wanted = valid & (words & ITSELF > 0)
+            itself = touching_itself(q, jnp.any(wanted).astype(jnp.int32))
+            valid &= _test_pairs(_bits(itself, couples.shape[1]), from_parts, wanted) | ~wanted
         return valid
 
     return free
+
+
+def _pairs(robot: Robot) -> dict[tuple[int, int], int]:
+    """Of two parts, in either order, their number in `Robot.part_pairs`."""
+    found = {}
+    for number, (first, second) in enumerate(robot.part_pairs.tolist()):
+        found[first, second] = found[second, first] = number
+    return found
 
 
 class _Frames:
@@ -131,7 +185,7 @@ def _seen(turned: jax.Array, origin: jax.Array, axes: jax.Array) -> tuple[jax.Ar
 def _bits(words: jax.Array, num: int) -> jax.Array:
     """Words `[..., W, C]` as booleans `[..., num, C]`."""
     place = jnp.arange(num)
-    return (words[..., place // WORD, :] >> (place % WORD)[:, None]) & 1 > 0
+    return (words[..., place // _WORD, :] >> (place % _WORD)[:, None]) & 1 > 0
 
 
 def _test_pairs(
@@ -153,8 +207,8 @@ def _test_pairs(
 
     def test_some(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         left, valid = state
-        # Twice as many as there are configurations; the others wait until these are decided.
-        (found,) = jnp.nonzero(left, size=2 * num, fill_value=len(left))
+        # As many as there are configurations; the others wait until these are decided.
+        (found,) = jnp.nonzero(left, size=num, fill_value=len(left))
         pair, at = jnp.divmod(jnp.minimum(found, len(left) - 1), num)
         # Rows without a pair test the last again.
         touches = (found < len(left)) & ~(gaps(pair, at) > 0)

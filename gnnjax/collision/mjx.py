@@ -35,7 +35,8 @@ from jaxtyping import Array, Bool, Float, Int
 from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.components import in_components
-from gnnjax.collision.fused import FAR, CollisionFunctions, moved_by_joint
+from gnnjax.collision.fused import CollisionFunctions
+from gnnjax.collision.spheres import FAR, moved_by_joint
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
 
@@ -121,13 +122,19 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
         return smallest_distance(scene, nodes, only_sign=True) > 0
 
     def collision_free_each(
-        scenes: Scene, owner: Int[Array, " B"], nodes: Float[Array, "B D"]
-    ) -> Bool[Array, " B"]:
-        return collision_free(jax.tree.map(lambda x: x[owner], scenes), nodes)
+        scenes: Scene, owner: Int[Array, " G"], nodes: Float[Array, "G T D"]
+    ) -> Bool[Array, "G T"]:
+        groups, each, num_dof = nodes.shape
+        own = jax.tree.map(lambda x: jnp.repeat(x[owner], each, axis=0), scenes)
+        return collision_free(own, nodes.reshape(-1, num_dof)).reshape(groups, each)
 
     # Traced once a shape, however often a function that is compiled around it asks.
     return CollisionFunctions(
-        clearance, jax.jit(collision_free), jax.jit(collision_free_each), None
+        clearance,
+        jax.jit(collision_free),
+        lambda scenes: scenes,
+        jax.jit(collision_free_each),
+        None,
     )
 
 

@@ -7,18 +7,19 @@ is counted, is what testing it alone and one by one would give.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import Checker, bisection_order, most_intervals
-from gnnjax.collision.fused import BLOCKED, FREE, OPEN
+from gnnjax.collision.spheres import BLOCKED
 from gnnjax.scene.scene import Scene
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
 _BLOCKS = (64, 512, 4096)
+_TILE = 8  # of them share a scene: as many as fit into the machine's vectors
 _OPEN_BLOCKS = (32, 256)  # of those that the first level leaves open
 _EARLY = 2  # of these, in a sequence: most of them are blocked
 _FIRST_STRETCH = 16  # configurations of a sequence in its first call, where many share it
@@ -44,6 +45,13 @@ class Outcome(NamedTuple):
     num_edges: np.ndarray  # [S] motions that were asked about
 
 
+class PlacedScenes(NamedTuple):
+    """Scenes of problems, as tests want them."""
+
+    scenes: Any  # what `Checker.place` has made, on the device
+    many: bool  # whether there are enough for large blocks
+
+
 class SequenceTester:
     """Tests sequences for one robot."""
 
@@ -55,27 +63,39 @@ class SequenceTester:
         """
         self.checker = checker
         levels = checker.levels
+        self._place = jax.jit(checker.place)
         self._check = jax.jit(checker.check_each if levels is None else levels.first)
         self._decide = None if levels is None else jax.jit(levels.second)
         self._order = bisection_order(most_intervals(robot, resolution))
         self._resolution = resolution
         self.computed = 0  # configurations, with those that no sequential test would have needed
 
-    def warm_up(self, scenes: Scene, num_dof: int) -> None:
-        """Compiles what testing in these scenes may need."""
-        for block in _blocks_for(scenes):
-            zeros = np.zeros((block, num_dof), np.float32)
-            jax.block_until_ready(self._check(scenes, np.zeros(block, np.int32), zeros))
-        if self._decide is not None:
-            for block in _OPEN_BLOCKS[: len(_blocks_for(scenes)) - 1]:
-                rows = np.zeros((block, num_dof), np.float32)
-                jax.block_until_ready(self._decide(scenes, np.zeros(block, np.int32), rows))
+    def place(self, scenes: Scene) -> PlacedScenes:
+        """Scenes `[P]`, padded to one of few numbers, for which kernels are compiled."""
+        num, room = len(scenes.mask), 1
+        while room < num:
+            room *= 16
+        rows = np.minimum(np.arange(room), num - 1)
+        padded = jax.tree.map(lambda x: np.asarray(x)[rows], scenes)
+        return PlacedScenes(self._place(padded), room * _FIRST_STRETCH > _BLOCKS[1])
 
-    def __call__(self, scenes: Scene, items: Items, num: int) -> Outcome:
+    def warm_up(self, placed: PlacedScenes, num_dof: int) -> None:
+        """Compiles what testing in these scenes may need."""
+        blocks = _blocks_for(placed)
+        for block in blocks:
+            rows = np.zeros((block // _TILE, _TILE, num_dof), np.float32)
+            jax.block_until_ready(self._check(placed.scenes, np.zeros(len(rows), np.int32), rows))
+        if self._decide is not None:
+            for block in _OPEN_BLOCKS[: len(blocks) - 1]:
+                owner, words = np.zeros(block, np.int32), np.zeros(block, np.uint32)
+                rows = np.zeros((block, num_dof), np.float32)
+                jax.block_until_ready(self._decide(placed.scenes, owner, words, rows))
+
+    def __call__(self, placed: PlacedScenes, items: Items, num: int) -> Outcome:
         """Tests what is asked for.
 
         Args:
-            scenes: `[P]`, on the device.
+            placed: from `place`.
             items: what to test.
             num: S; sequences without items hold.
         """
@@ -97,7 +117,7 @@ class SequenceTester:
             point = self._order[intervals[item], at - begin[item]]
             fraction = (point / intervals[item]).astype(np.float32)[:, None]
             q = low[item] + fraction * (high[item] - low[item])
-            bad = np.flatnonzero(~self._test(scenes, items.owner[item], q, of))
+            bad = np.flatnonzero(~self._test(placed, items.owner[item], q, of))
             hit, where = np.unique(of[bad], return_index=True)
             tested = size.copy()
             tested[hit] = step[bad[where]] + 1
@@ -138,22 +158,24 @@ class SequenceTester:
         return low, high, intervals.astype(int), points.astype(int)
 
     def _test(
-        self, scenes: Scene, owner: np.ndarray, q: np.ndarray, sequence: np.ndarray
+        self, placed: PlacedScenes, owner: np.ndarray, q: np.ndarray, sequence: np.ndarray
     ) -> np.ndarray:
         """Whether configurations `[B D]` are valid, each in the scene of its owner.
 
         Those that the first level leaves open are decided, but for what comes after one of the
         same sequence that is not valid.
         """
-        found = self._run(self._check, _blocks_for(scenes), scenes, owner, q)
+        found = self._run_tiles(placed, owner, q)
         self.computed += len(q)
         if self._decide is None:
             return found
-        blocked = np.flatnonzero(found == BLOCKED)
+        blocked = np.flatnonzero(found >= BLOCKED)
         first = np.full(sequence.max(initial=0) + 1, len(q))
         np.minimum.at(first, sequence[blocked], blocked)
-        rows = np.flatnonzero((found == OPEN) & (np.arange(len(q)) < first[sequence]))
-        valid = found == FREE
+        valid = found == 0
+        rows = np.flatnonzero(~valid & (np.arange(len(q)) < first[sequence]))
+        if not len(rows):
+            return valid
         # The first ones of each sequence, and, where these hold, the others.
         _, begin, of = np.unique(sequence[rows], return_index=True, return_inverse=True)
         early = np.arange(len(rows)) - begin[of] < _EARLY
@@ -161,40 +183,71 @@ class SequenceTester:
             some = rows[some & (rows < first[sequence[rows]])]
             if not len(some):
                 continue
-            valid[some] = self._run(self._decide, _OPEN_BLOCKS, scenes, owner[some], q[some])
+            valid[some] = self._run_open(placed, owner[some], found[some], q[some])
             blocked = some[~valid[some]]
             np.minimum.at(first, sequence[blocked], blocked)
         return valid
 
-    def _run(
-        self,
-        function: Callable[..., jax.Array],
-        blocks: tuple[int, ...],
-        scenes: Scene,
-        owner: np.ndarray,
-        q: np.ndarray,
+    def _run_tiles(self, placed: PlacedScenes, owner: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """What the first level says of configurations."""
+        # Those that lie side by side and have an owner in common share tiles.
+        begin = np.flatnonzero(np.diff(owner, prepend=-1))
+        size = np.diff(begin, append=len(owner))
+        tiles = -(-size // _TILE)
+        first = np.cumsum(tiles) - tiles
+        place = np.arange(len(owner)) + np.repeat(_TILE * first - begin, size)
+        owners = np.repeat(owner[begin], tiles).astype(np.int32)
+        rows = np.repeat(q[begin], _TILE * tiles, axis=0)  # what is left empty tests the first
+        rows[place] = q
+        rows = rows.reshape(len(owners), _TILE, q.shape[1])
+        blocks = tuple(block // _TILE for block in _blocks_for(placed))
+        found = _in_blocks(self._check, blocks, placed, owners, rows)
+        return found.reshape(-1)[place]
+
+    def _run_open(
+        self, placed: PlacedScenes, owner: np.ndarray, words: np.ndarray, q: np.ndarray
     ) -> np.ndarray:
-        """What a function says of configurations, asked in blocks of a few sizes."""
-        parts, begin = [], 0
-        while begin < len(q):
-            left = len(q) - begin
-            block = next((b for b in blocks if left <= b), blocks[-1])
-            # Two calls of the middle size are less work than one that is mostly padding.
-            while block > blocks[0] and left <= block // 4:
-                block = blocks[blocks.index(block) - 1]
-            end = min(begin + block, len(q))
-            pad = begin + block - end
-            rows = np.pad(q[begin:end], ((0, pad), (0, 0)), mode="edge")
-            own = np.pad(owner[begin:end], (0, pad), mode="edge").astype(np.int32)
-            parts.append((end - begin, function(scenes, own, rows)))
-            begin = end
-        # All are on their way before the first is waited for.
-        return np.concatenate([np.asarray(found)[:num] for num, found in parts])
+        """Whether configurations are free of what the first level leaves open."""
+        assert self._decide is not None
+        return _in_blocks(self._decide, _OPEN_BLOCKS, placed, owner.astype(np.int32), words, q)
 
 
-def _blocks_for(scenes: Scene) -> tuple[int, ...]:
+def _in_blocks(
+    function: Callable[..., jax.Array],
+    blocks: tuple[int, ...],
+    placed: PlacedScenes,
+    *rows: np.ndarray,
+) -> np.ndarray:
+    """What a function says of rows, asked in blocks of a few sizes; those that are missing are
+    zeros."""
+    parts, begin, num = [], 0, len(rows[0])
+    while begin < num:
+        left = num - begin
+        block = next((b for b in blocks if left <= b), blocks[-1])
+        # Two calls of the middle size are less work than one that is mostly padding.
+        while block > blocks[0] and left <= block // 4:
+            block = blocks[blocks.index(block) - 1]
+        end = min(begin + block, num)
+        parts.append(
+            (end - begin, function(placed.scenes, *(_filled(x[begin:end], block) for x in rows)))
+        )
+        begin = end
+    # All are on their way before the first is waited for.
+    return np.concatenate([np.asarray(found)[:num] for num, found in parts])
+
+
+def _filled(array: np.ndarray, num: int) -> np.ndarray:
+    """With zeros at the end, up to a number of rows."""
+    if len(array) == num:
+        return array
+    filled = np.zeros((num, *array.shape[1:]), array.dtype)
+    filled[: len(array)] = array
+    return filled
+
+
+def _blocks_for(placed: PlacedScenes) -> tuple[int, ...]:
     """The blocks that configurations are tested in: few problems do without the large one."""
-    return _BLOCKS if len(scenes.mask) * _FIRST_STRETCH > _BLOCKS[1] else _BLOCKS[:2]
+    return _BLOCKS if placed.many else _BLOCKS[:2]
 
 
 def _count(sequence: np.ndarray, chosen: np.ndarray, num: int) -> np.ndarray:

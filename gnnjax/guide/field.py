@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from gnnjax.arm.kinematics import body_frames, joint_terms, transform
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.fused import moved_by_joint
+from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.field import Grid, cell_of, distance_field, make_grid

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from gnnjax.arm.kinematics import body_frames, dot, joint_terms, subtract, transform
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.fused import moved_by_joint
+from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.scene import Scene, rotation_matrices
 

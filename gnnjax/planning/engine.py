@@ -11,7 +11,6 @@ import dataclasses
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
@@ -26,7 +25,6 @@ from gnnjax.planning.shortcuts import cut_short
 from gnnjax.planning.shortening import Shortener
 from gnnjax.planning.trees import grow
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, Knowledge
 from gnnjax.search.rounds import Route
 
@@ -77,8 +75,8 @@ class Run(Progress):
         self.strategy, self.options = strategy, options
         self.tester, self.seed, self.pool = tester, seed, pool
         self.chunk = _CHUNKS[pool > 1]
-        self.scenes = scenes_on_device(self.problems.scene)
-        self.shortener = Shortener(self, strategy, tester, self.scenes, self.chunk)
+        self.placed = tester.place(self.problems.scene)
+        self.shortener = Shortener(self, strategy, tester, self.placed, self.chunk)
         num = len(self.paths)
         self.straight = np.zeros(num, np.int8)  # status of the straight line
         self.kept: list[list[Kept]] = [[] for _ in range(num)]
@@ -113,7 +111,7 @@ class Run(Progress):
             self._grow_trees()
             if self.strategy.shorten and self.options.check_cost <= CHEAP:
                 solved = np.flatnonzero([path is not None for path in self.paths])
-                cut_short(self, self.tester, self.scenes, solved)
+                cut_short(self, self.tester, self.placed, solved)
         return self.plans([self._reason(i) for i in range(len(every))])
 
     def _grow_trees(self) -> None:
@@ -126,7 +124,7 @@ class Run(Progress):
                 self.robot,
                 self,
                 self.tester,
-                self.scenes,
+                self.placed,
                 ids[first : first + self.pool],
                 self.seed,
                 self.options.effort,
@@ -146,12 +144,12 @@ class Run(Progress):
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
         num = len(self.paths)
-        self.tester.warm_up(self.scenes, self.robot.num_dof)
+        self.tester.warm_up(self.placed, self.robot.num_dof)
         numbers = range(1 if self.options.sampled else min(2, self.options.max_roadmaps))
         for number in numbers:
             most = min(num, self.pool, self.strategy.most_slots(number))
             for size in sizes_up_to(most):
-                pool = Pool(size, self.clock, self.tester, self.scenes)
+                pool = Pool(size, self.clock, self.tester, self.placed)
                 self._enter(pool, np.zeros(1, int), np.arange(1), np.arange(1), number, None)
                 route, host = pool.route()
                 if not self.strategy.is_judged:
@@ -168,7 +166,7 @@ class Run(Progress):
         begin = self.clock.now()
         starts, goals = self.problems.start[ids], self.problems.goal[ids]
         items = Items(np.arange(len(ids)), ids, starts, goals, np.ones(len(ids), bool))
-        outcome = self.tester(self.scenes, items, len(ids))
+        outcome = self.tester(self.placed, items, len(ids))
         self.count(ids, outcome)
         self.straight[ids] = INVALID
         free = ~outcome.refuted
@@ -195,7 +193,7 @@ class Run(Progress):
         if not len(ids):
             return
         most = self.strategy.most_slots(int(numbers[0]))
-        pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock, self.tester, self.scenes)
+        pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock, self.tester, self.placed)
         slots = _Slots(*np.zeros((3, pool.size), int))
         waiting = 0
         while waiting < len(ids) or (pool.ids >= 0).any():
@@ -337,12 +335,3 @@ class _Slots(NamedTuple):
     rounds: np.ndarray  # [S]
     # [S] 1 until a path was shortened: no path is checked as it is before that has failed.
     first_look: np.ndarray
-
-
-def scenes_on_device(scenes: Scene) -> Scene:
-    """Scenes `[P]`, padded to one of few numbers, for which kernels are compiled."""
-    num, room = len(scenes.mask), 1
-    while room < num:
-        room *= 16
-    rows = np.minimum(np.arange(room), num - 1)
-    return jax.tree.map(lambda x: jnp.asarray(x[rows]), scenes)

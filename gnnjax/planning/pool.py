@@ -7,10 +7,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from gnnjax.collision.sequences import Items, Outcome, SequenceTester
+from gnnjax.collision.sequences import Items, Outcome, PlacedScenes, SequenceTester
 from gnnjax.devices import map_first, marked_first
 from gnnjax.planning.clock import Clock
-from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
 from gnnjax.search.rounds import Priced, Route, cheapest_route, learn, reprice
 
@@ -128,14 +127,14 @@ def verdicts(items: Items, outcome: Outcome) -> np.ndarray:
 class Pool:
     """Slots, each free or with a problem's roadmap."""
 
-    def __init__(self, size: int, clock: Clock, tester: SequenceTester, scenes: Scene):
+    def __init__(self, size: int, clock: Clock, tester: SequenceTester, placed: PlacedScenes):
         """Args:
         size: slots.
         clock: of the run.
         tester: tests what is wanted.
-        scenes: of all problems of the run, on the device.
+        placed: scenes of all problems of the run.
         """
-        self.size, self.clock, self.tester, self.scenes = size, clock, tester, scenes
+        self.size, self.clock, self.tester, self.placed = size, clock, tester, placed
         self.ids = np.full(size, -1)
         self.priced: Priced | None = None
         self.reading: Any = None
@@ -185,7 +184,7 @@ class Pool:
     def test(self, host: Route, rows: np.ndarray, most_edges: np.ndarray | None = None) -> Tested:
         """Tests what is unknown on the paths of some slots."""
         items, row, step = items_of(host, rows, self.ids[rows], most_edges)
-        outcome = self.tester(self.scenes, items, len(rows))
+        outcome = self.tester(self.placed, items, len(rows))
         found = verdicts(items, outcome)
         nodes, edges = np.zeros((2, *host.path.shape), np.int8)
         nodes[rows[row[~items.motion]], step[~items.motion]] = found[~items.motion]

@@ -9,10 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.collision.sequences import Items, PlacedScenes, SequenceTester
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import path_length
-from gnnjax.scene.scene import Scene
 
 _POINTS = 14  # of a piece of a path, its corners among them
 _PASSES = 3  # each along what the one before has found; long paths take more
@@ -21,51 +20,68 @@ _PIECES_AT_ONCE = 64
 _FIRST, _SECOND = np.triu_indices(_POINTS, 1)  # [E] the motions
 
 
-def cut_short(progress: Progress, tester: SequenceTester, scenes: Scene, ids: np.ndarray) -> None:
+def cut_short(
+    progress: Progress, tester: SequenceTester, placed: PlacedScenes, ids: np.ndarray
+) -> None:
     """Shortens the certified paths of some problems.
 
     Args:
         progress: has the paths, and gets shorter ones, if they are certified.
         tester: of the arm.
-        scenes: of all problems, on the device.
+        placed: scenes of all problems.
         ids: of problems with a path.
     """
-    passes = np.zeros(len(progress.paths), int)
+    # Of each problem, the certified path and what passes have made of it.
+    found = {i: [progress.paths[i]] for i in ids.tolist()}
+    passes = dict.fromkeys(found, 0)
     while True:
-        bent = [i for i in ids.tolist() if len(progress.paths[i]) > 2]
-        bent = [i for i in bent if passes[i] < _PASSES or len(progress.paths[i]) > _POINTS]
-        bent = np.array([i for i in bent if passes[i] < 3 * _PASSES], int)
-        if not len(bent):
-            return
-        passes[bent] += 1
+        bent = [i for i, paths in found.items() if len(paths[-1]) > 2]
+        bent = [i for i in bent if passes[i] < _PASSES or len(found[i][-1]) > _POINTS]
+        bent = [i for i in bent if passes[i] < 3 * _PASSES]
+        if not bent:
+            break
         begin = progress.clock.now()
         cut = []  # problem and piece of its path
-        for i in bent.tolist():
-            path = progress.paths[i]
+        for i in bent:
+            passes[i] += 1
+            path = found[i][-1]
             for first in range(0, len(path) - 1, _POINTS - 1):
                 cut.append((i, path[first : first + _POINTS]))
-        shorter: dict[int, list[np.ndarray]] = {i: [] for i in bent.tolist()}
+        shorter: dict[int, list[np.ndarray]] = {i: [] for i in bent}
         for first in range(0, len(cut), _PIECES_AT_ONCE):
             some = cut[first : first + _PIECES_AT_ONCE]
             owners, pieces = zip(*some, strict=True)
-            found = _cut(progress, tester, scenes, np.array(owners), pieces)
-            for i, piece in zip(owners, found, strict=True):
+            for i, piece in zip(
+                owners, _cut(progress, tester, placed, np.array(owners), pieces), strict=True
+            ):
                 shorter[i].append(piece)
-        begin = progress.spend(bent, begin)
-        joined = [
-            np.concatenate([*(x[:-1] for x in shorter[i]), shorter[i][-1][-1:]]) for i in bent
-        ]
-        before = np.array([path_length(progress.paths[i]) for i in bent])
-        progress.certify(bent, joined)
-        after = np.array([path_length(progress.paths[i]) for i in bent])
-        passes[bent[after > _GAIN * before]] = 3 * _PASSES
-        progress.spend(bent, begin)
+        for i in bent:
+            joined = np.concatenate([*(x[:-1] for x in shorter[i]), shorter[i][-1][-1:]])
+            before, after = path_length(found[i][-1]), path_length(joined)
+            if after < before:
+                found[i].append(joined)
+            if after > _GAIN * before:
+                passes[i] = 3 * _PASSES
+        progress.spend(np.array(bent), begin)
+    _keep_best(progress, found)
+
+
+def _keep_best(progress: Progress, found: dict[int, list[np.ndarray]]) -> None:
+    """Certifies the last path of each problem; the one before it where that fails, and so on."""
+    left = {i: paths[1:] for i, paths in found.items()}
+    while ids := [i for i, paths in left.items() if paths]:
+        begin = progress.clock.now()
+        certified = progress.certify(np.array(ids), [left[i].pop() for i in ids])
+        for i, edges in zip(ids, certified, strict=True):
+            if edges.all():
+                left[i] = []
+        progress.spend(np.array(ids), begin)
 
 
 def _cut(
     progress: Progress,
     tester: SequenceTester,
-    scenes: Scene,
+    placed: PlacedScenes,
     ids: np.ndarray,
     pieces: Sequence[np.ndarray],
 ) -> list[np.ndarray]:
@@ -80,7 +96,7 @@ def _cut(
         points[row, _SECOND[motion]],
         np.ones(len(row), bool),
     )
-    outcome = tester(scenes, items, len(row))
+    outcome = tester(placed, items, len(row))
     progress.count(ids[row], outcome)
     lengths = np.linalg.norm(points[:, _SECOND] - points[:, _FIRST], axis=2)
     lengths[row[outcome.refuted], motion[outcome.refuted]] = np.inf

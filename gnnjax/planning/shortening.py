@@ -4,12 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gnnjax.collision.sequences import SequenceTester
+from gnnjax.collision.sequences import PlacedScenes, SequenceTester
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.pool import Pool, in_chunks, take
 from gnnjax.planning.progress import Progress
 from gnnjax.roadmap.graph import GOAL, START
-from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID
 from gnnjax.search.rounds import Route
 
@@ -24,18 +23,18 @@ class Shortener:
         progress: Progress,
         strategy: Guided,
         tester: SequenceTester,
-        scenes: Scene,
+        placed: PlacedScenes,
         chunk: int,
     ):
         """Args:
         progress: of the problems; knows their best paths.
         strategy: finds shortcuts.
         tester: of the arm.
-        scenes: of all problems, on the device.
+        placed: scenes of all problems.
         chunk: paths that are shortened at once.
         """
         self.progress, self.strategy, self.tester = progress, strategy, tester
-        self.scenes, self.chunk = scenes, chunk
+        self.placed, self.chunk = placed, chunk
 
     def shorten(self, pool: Pool, rows: np.ndarray, host: Route) -> np.ndarray:
         """Shortens paths in the guide's eyes, checks them, and keeps what is certified and shorter.
@@ -109,7 +108,7 @@ class PathPool(Pool):
         points: `[S V D]`, from `shortened`.
         price: `[S V V]` rad.
         """
-        super().__init__(len(ids), pool.clock, pool.tester, pool.scenes)
+        super().__init__(len(ids), pool.clock, pool.tester, pool.placed)
         num, num_points = points.shape[:2]
         self.ids, self._points, self._price = ids, points, price
         self._lengths = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)

@@ -8,9 +8,8 @@ its way out of narrow places step by step. What a problem's trees are does not d
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.collision.sequences import Items, PlacedScenes, SequenceTester
 from gnnjax.planning.progress import Progress
-from gnnjax.scene.scene import Scene
 
 MOST_ROUNDS = 200  # at effort 1
 _BRANCHES = 8  # of a tree in a round, and as many of the other towards their tips
@@ -57,7 +56,7 @@ def grow(
     robot: Robot,
     progress: Progress,
     tester: SequenceTester,
-    scenes: Scene,
+    placed: PlacedScenes,
     ids: np.ndarray,
     seed: int,
     effort: int,
@@ -69,7 +68,7 @@ def grow(
         robot: the arm.
         progress: of all problems.
         tester: of the arm.
-        scenes: of all problems, on the device.
+        placed: scenes of all problems.
         ids: of the problems.
         seed: of the random configurations, the same for all.
         effort: how many times `MOST_ROUNDS`.
@@ -93,12 +92,12 @@ def grow(
         first, second = trees if number % 2 == 0 else trees[::-1]
         goal = np.tile(goals, (len(rows), 1))
         rows = np.repeat(rows, _BRANCHES)
-        tips = _extend(progress, tester, scenes, ids, first, rows, goal, _LONGEST[0])
+        tips = _extend(progress, tester, placed, ids, first, rows, goal, _LONGEST[0])
         grown = tips >= 0
         rows, tips = rows[grown], tips[grown]
         if len(rows):
             goal = first.nodes[rows, tips]
-            ends = _extend(progress, tester, scenes, ids, second, rows, goal, _LONGEST[1])
+            ends = _extend(progress, tester, placed, ids, second, rows, goal, _LONGEST[1])
             meet = ends >= 0
             meet[meet] = (second.nodes[rows[meet], ends[meet]] == goal[meet]).all(axis=1)
             paths = []
@@ -113,7 +112,7 @@ def grow(
 def _extend(
     progress: Progress,
     tester: SequenceTester,
-    scenes: Scene,
+    placed: PlacedScenes,
     ids: np.ndarray,
     tree: Tree,
     rows: np.ndarray,
@@ -144,7 +143,7 @@ def _extend(
         np.repeat(at, 2, axis=0),
         np.tile([False, True], len(of)),
     )
-    outcome = tester(scenes, items, len(rows))
+    outcome = tester(placed, items, len(rows))
     progress.count(ids[rows], outcome)
     begin = np.cumsum(edges) - edges
     tips = np.full(len(rows), -1)

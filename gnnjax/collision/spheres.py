@@ -1,0 +1,127 @@
+"""Passes over the arm's spheres: straight-line code, generated from a robot's constants (see
+`kinematics.py`), for one obstacle of each configuration, or some pairs of the arm's own spheres.
+
+Configurations come in G groups of T that share a scene. What a pass needs of an obstacle is taken
+out of a table once a group, and all configurations of the group are computed side by side with it.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from gnnjax.arm.kinematics import (
+    WORLD,
+    Frame,
+    Joints,
+    Scalar,
+    Vector,
+    body_frames,
+    dot,
+    subtract,
+    transform,
+)
+from gnnjax.arm.robot import Robot
+from gnnjax.scene.geometry import squared_distance
+from gnnjax.scene.scene import Scene, last_box, rotation_matrices
+
+# Pairs of the arm's own spheres in one pass. The compiler turns a pass into a single loop over the
+# batch. It splits what exceeds 2,000 operations into functions, and where it fails to join them
+# again, the loop runs several times slower.
+_SELF_PAIRS_A_PASS = 120
+FAR = 1e6  # m; where obstacles are that do not exist
+
+# What spheres say of a configuration is a word of 32 bits: 0 where they prove it free. Bit
+# m % OBSTACLE_BITS is set where they leave open whether obstacle m is touched, ITSELF where they
+# leave open whether the arm touches itself, BLOCKED where they prove a contact.
+OBSTACLE_BITS, ITSELF, BLOCKED = 30, np.uint32(1 << 30), np.uint32(1 << 31)
+
+
+class Placed(NamedTuple):
+    """What passes need of M obstacles of each of P scenes."""
+
+    origins: Float[Array, "M 3 P"]  # of the base, seen from the obstacle
+    rotations: Float[Array, "M 3 3 P"] | None  # base to obstacle; None: none is rotated
+    half_extents: Float[Array, "M 3 P"]
+    radii: Float[Array, "M 2 P"]  # of disc and ball
+    num: Int[Array, " P"]  # none after so many exists
+
+
+class Obstacle(NamedTuple):
+    """One of the M of each of some configurations; as `Placed`."""
+
+    origin: Float[Array, "3 ..."]
+    rotation: Float[Array, "3 3 ..."] | None
+    half_extents: Float[Array, "3 ..."]
+    radii: Float[Array, "2 ..."]
+
+
+def place(scenes: Scene, axis_aligned: bool) -> Placed:
+    """Of scenes `[P]`.
+
+    Args:
+        scenes: obstacles.
+        axis_aligned: promise that none is rotated.
+    """
+    scenes = jax.tree.map(jnp.asarray, scenes)
+    exists = scenes.mask
+    # Those that do not exist are far away.
+    origins, rotations = -jnp.where(exists[..., None], scenes.centers, FAR), None
+    if not axis_aligned:
+        rotations = rotation_matrices(scenes.quats).swapaxes(-1, -2)
+        origins = jnp.sum(rotations * origins[..., None, :], axis=-1)
+    parts = Placed(
+        origins, rotations, scenes.half_extents, scenes.radii, jax.vmap(last_box)(exists)
+    )
+    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), parts)
+
+
+def moved_by_joint(robot: Robot) -> list[bool]:
+    """Whether each collision sphere is moved by some joint."""
+    moved: list[bool] = []
+    for body in robot.bodies:
+        moved.append(bool(body.joints) or (body.parent >= 0 and moved[body.parent]))
+    return [b >= 0 and moved[b] for b in robot.geom_bodies.tolist()]
+
+
+def sphere_centers(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Vector]:
+    """Centre of every sphere, m; see `body_frames`."""
+    frames = body_frames(robot, joints, base)
+    points = []
+    for body, center in zip(robot.geom_bodies, robot.geom_centers.tolist(), strict=True):
+        position, rotation = frames[body] if body >= 0 else base
+        points.append(transform(position, rotation, center))
+    return points
+
+
+class Passes:
+    """The passes of one arm."""
+
+    def __init__(self, robot: Robot):
+        self._robot = robot
+        self._moving = np.flatnonzero(moved_by_joint(robot)).tolist()
+        num = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
+        # Of each pass over pairs of the arm's own spheres, the pairs.
+        self.self_pairs = np.array_split(robot.self_pairs, num) if num else []
+
+    def to_obstacle(
+        self, joints: Joints, obstacle: Obstacle
+    ) -> Iterator[tuple[int, jax.Array, jax.Array]]:
+        """Of every sphere that moves: its number, its centre's squared distance to the obstacle's
+        box and disc, and the radius of the obstacle's ball."""
+        origin, rotation, half_extents, (disc, ball) = obstacle
+        # Kinematics in the frame of the obstacle are less work than moving every sphere there.
+        turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
+        points = sphere_centers(self._robot, joints, (list(origin), turned))
+        for g in self._moving:
+            yield g, squared_distance(points[g], list(half_extents), disc), ball
+
+    def to_itself(self, joints: Joints, pairs: np.ndarray) -> Iterator[tuple[int, int, Scalar]]:
+        """Of pairs of spheres: their numbers, and their centres' squared distance."""
+        points = sphere_centers(self._robot, joints)
+        for i, j in pairs.tolist():
+            offset = subtract(points[i], points[j])
+            yield i, j, dot(offset, offset)
