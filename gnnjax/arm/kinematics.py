@@ -7,7 +7,7 @@ ones of the MJCF frames vanish while the code is generated. On a CPU this is ten
 batches of 3 x 3 matrix products.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
 import jax
@@ -103,18 +103,24 @@ def _align_z(axis: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
-def body_frames(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Frame]:
+def body_frames(
+    robot: Robot,
+    joints: Joints,
+    base: Frame = WORLD,
+    settle: Callable[[Frame], Frame] = lambda frame: frame,
+) -> list[Frame]:
     """Position and rotation of every body.
 
     Args:
         robot: the arm whose constants go into the code.
         joints: from `joint_terms`.
         base: the world, seen from the frame in which the bodies are wanted.
+        settle: applied to each body's frame before those that hang on it are computed.
     """
     frames: list[Frame] = []
     for body in robot.bodies:
         position, rotation = frames[body.parent] if body.parent >= 0 else base
-        frames.append(_move(body, position, rotation, joints))
+        frames.append(settle(_move(body, position, rotation, joints)))
     return frames
 
 

@@ -7,8 +7,9 @@ until one is found in contact or all are apart.
 """
 
 import functools
+import itertools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +17,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from gnnjax.arm.hulls import simplify
-from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
+from gnnjax.arm.kinematics import WORLD, Frame, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
-from gnnjax.collision.spheres import ITSELF, OBSTACLE_BITS, Obstacle, Passes, Placed
+from gnnjax.collision.spheres import Obstacle, Passes, Placed
 
 SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
 _WORD = 32  # bits
@@ -44,11 +45,21 @@ def _simpler(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return np.array(vertices, np.float32), np.array(radii, np.float32)
 
 
-def exact_test(
-    robot: Robot, passes: Passes
-) -> Callable[[Placed, jax.Array, jax.Array, jax.Array], jax.Array]:
-    """Makes the function `(placed, owner [C], words [C], q [C D]) -> [C]`, true where the arm is
-    free of all that words name (see `spheres.py`)."""
+class PartTests(NamedTuple):
+    """Whether the arm's parts are in contact, of what its spheres leave open.
+
+    `clear_of_obstacles(placed, owner [N], number [N], q [N D], wanted [N]) -> [N]`, each of one
+    obstacle, by its number.
+    `clear_of_itself(q [N D], wanted [N]) -> [N]`.
+    Both are true where it is not wanted.
+    """
+
+    clear_of_obstacles: Callable[[Placed, jax.Array, jax.Array, jax.Array, jax.Array], jax.Array]
+    clear_of_itself: Callable[[jax.Array, jax.Array], jax.Array]
+
+
+def part_tests(robot: Robot, passes: Passes) -> PartTests:
+    """Makes the functions of an arm."""
     hulls = hulls_of(robot)
     # The world's frame comes last.
     bodies = jnp.array([part.body for part in robot.parts])
@@ -83,37 +94,37 @@ def exact_test(
             words = jax.lax.fori_loop(0, turns, self_turn, words)
         return jnp.stack(words)
 
-    def free(
-        placed: Placed, owner: Int[Array, " C"], words: UInt[Array, " C"], q: Float[Array, "C D"]
-    ) -> Bool[Array, " C"]:
+    def clear_of_obstacles(
+        placed: Placed,
+        owner: Int[Array, " N"],
+        number: Int[Array, " N"],
+        q: Float[Array, "N D"],
+        wanted: Bool[Array, " N"],
+    ) -> Bool[Array, " N"]:
+        parts = jax.tree.map(
+            lambda x: jnp.moveaxis(x[number, ..., owner], 0, -1), tuple(placed)[:-1]
+        )
+        obstacle, frames = Obstacle(*parts), _frames(robot, q)
+        turned = obstacle.rotation
+        if turned is None:
+            turned = jnp.broadcast_to(jnp.eye(3)[..., None], (3, 3, len(q)))
+
+        def gaps(part: jax.Array, lane: jax.Array) -> jax.Array:
+            position, rotation = _seen(turned[..., lane], *frames[bodies[part], lane])
+            position = position + obstacle.origin[:, lane]
+            disc, ball = obstacle.radii[:, lane]
+            shapes = convex.Obstacles(obstacle.half_extents[:, lane], disc, ball)
+            return convex.separate_obstacles(hulls, part, position, rotation, shapes, position).gaps
+
+        return _test_pairs(_bits(touching(obstacle, q), len(bodies)) & wanted, gaps)
+
+    def clear_of_itself(q: Float[Array, "N D"], wanted: Bool[Array, " N"]) -> Bool[Array, " N"]:
         frames = _frames(robot, q)
 
-        def clear_of(number: jax.Array, at: jax.Array, wanted: jax.Array) -> jax.Array:
-            """Whether the arm is clear of obstacles at configurations, all `[N]`."""
-            of = owner[at]
-            parts = jax.tree.map(
-                lambda x: jnp.moveaxis(x[number, ..., of], 0, -1), tuple(placed)[:-1]
-            )
-            obstacle = Obstacle(*parts)
-            turned = obstacle.rotation
-            if turned is None:
-                turned = jnp.broadcast_to(jnp.eye(3)[..., None], (3, 3, len(at)))
-
-            def gaps(part: jax.Array, lane: jax.Array) -> jax.Array:
-                position, rotation = _seen(turned[..., lane], *frames[bodies[part], at[lane]])
-                position = position + obstacle.origin[:, lane]
-                disc, ball = obstacle.radii[:, lane]
-                shapes = convex.Obstacles(obstacle.half_extents[:, lane], disc, ball)
-                return convex.separate_obstacles(
-                    hulls, part, position, rotation, shapes, position
-                ).gaps
-
-            return _test_pairs(_bits(touching(obstacle, q[at]), len(bodies)), gaps, wanted)
-
-        def from_parts(pair: jax.Array, at: jax.Array) -> jax.Array:
+        def gaps(pair: jax.Array, lane: jax.Array) -> jax.Array:
             first, second = couples[:, pair]
-            origin, axes = frames[bodies[first], at]
-            base, seen_from = frames[bodies[second], at]
+            origin, axes = frames[bodies[first], lane]
+            base, seen_from = frames[bodies[second], lane]
             turned = jnp.swapaxes(seen_from, 0, 1)
             position, rotation = _seen(turned, origin - base, axes)
             nothing = jnp.zeros(len(pair))
@@ -121,30 +132,12 @@ def exact_test(
                 hulls, first, position, rotation, second, position, nothing
             ).gaps
 
-        num, number = len(q), jnp.arange(len(placed.origins))
-        named = (words >> (number % OBSTACLE_BITS)[:, None]) & 1 > 0
-        left = (named & (number[:, None] < placed.num[owner])).reshape(-1)
+        if not couples.size:
+            return jnp.ones(len(q), bool)
+        words = touching_itself(q, jnp.any(wanted).astype(jnp.int32))
+        return _test_pairs(_bits(words, couples.shape[1]) & wanted, gaps)
 
-        def some_obstacles(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            left, valid = state
-            # Most configurations have one; the others wait.
-            (found,) = jnp.nonzero(left, size=num + num // 4, fill_value=len(left))
-            number, at = jnp.divmod(jnp.minimum(found, len(left) - 1), num)
-            wanted = found < len(left)
-            clear = clear_of(number, at, wanted)
-            valid = valid.at[jnp.where(wanted & ~clear, at, num)].set(False, mode="drop")
-            left = left.at[found].set(False, mode="drop")
-            return left & jnp.tile(valid, len(left) // num), valid
-
-        state = left, jnp.ones(num, bool)
-        valid = jax.lax.while_loop(lambda state: jnp.any(state[0]), some_obstacles, state)[1]
-        if couples.size:
-            wanted = valid & (words & ITSELF > 0)
-            itself = touching_itself(q, jnp.any(wanted).astype(jnp.int32))
-            valid &= _test_pairs(_bits(itself, couples.shape[1]), from_parts, wanted) | ~wanted
-        return valid
-
-    return free
+    return PartTests(clear_of_obstacles, clear_of_itself)
 
 
 def _pairs(robot: Robot) -> dict[tuple[int, int], int]:
@@ -170,10 +163,19 @@ def _frames(robot: Robot, q: jax.Array) -> _Frames:
     def full(component: Any) -> jax.Array:
         return jnp.broadcast_to(jnp.asarray(component, q.dtype), len(q))
 
-    frames = [*body_frames(robot, joint_terms(robot, q)), WORLD]
-    origins = jnp.stack([jnp.stack([full(x) for x in origin]) for origin, _ in frames])
-    axes = [jnp.stack([jnp.stack([full(x) for x in row]) for row in rows]) for _, rows in frames]
-    return _Frames(origins, jnp.stack(axes))
+    def as_array(frame: Frame) -> jax.Array:
+        origin, rows = frame
+        return jnp.stack([full(x) for x in itertools.chain(origin, *rows)])
+
+    def settle(frame: Frame) -> Frame:
+        # Written to memory, or every number of every body would be computed from the base on.
+        origin, *rows = np.split(np.arange(12), 4)
+        array = jax.lax.optimization_barrier(as_array(frame))
+        return [array[i] for i in origin], [[array[i] for i in row] for row in rows]
+
+    frames = body_frames(robot, joint_terms(robot, q), settle=settle)
+    stacked = jnp.stack([as_array(frame) for frame in (*frames, WORLD)])
+    return _Frames(stacked[:, :3], stacked[:, 3:].reshape(-1, 3, 3, len(q)))
 
 
 def _seen(turned: jax.Array, origin: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -189,32 +191,29 @@ def _bits(words: jax.Array, num: int) -> jax.Array:
 
 
 def _test_pairs(
-    wanted: Bool[Array, "... C"],
-    gaps: Callable[[jax.Array, jax.Array], jax.Array],
-    valid: Bool[Array, " C"],
-) -> Bool[Array, " C"]:
-    """Configurations of those that are valid, of which no wanted pair is in contact.
+    wanted: Bool[Array, "U N"], gaps: Callable[[jax.Array, jax.Array], jax.Array]
+) -> Bool[Array, " N"]:
+    """Configurations of which no wanted pair is in contact.
 
     Args:
         wanted: pairs to be tested, by configuration.
         gaps: of pairs at configurations, both `[N]`; not above 0 in contact.
-        valid: others need no test.
     """
-    num = len(valid)
+    num = wanted.shape[1]
 
     def some_left(state: tuple[jax.Array, jax.Array]) -> jax.Array:
         return jnp.any(state[0])
 
     def test_some(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        left, valid = state
+        left, clear = state
         # As many as there are configurations; the others wait until these are decided.
         (found,) = jnp.nonzero(left, size=num, fill_value=len(left))
         pair, at = jnp.divmod(jnp.minimum(found, len(left) - 1), num)
         # Rows without a pair test the last again.
         touches = (found < len(left)) & ~(gaps(pair, at) > 0)
-        valid = valid.at[jnp.where(touches, at, num)].set(False, mode="drop")
+        clear = clear.at[jnp.where(touches, at, num)].set(False, mode="drop")
         left = left.at[found].set(False, mode="drop")
-        return left & jnp.tile(valid, len(left) // num), valid
+        return left & jnp.tile(clear, len(left) // num), clear
 
-    left = (wanted & valid).reshape(-1)
-    return jax.lax.while_loop(some_left, test_some, (left, valid))[1]
+    state = wanted.reshape(-1), jnp.ones(num, bool)
+    return jax.lax.while_loop(some_left, test_some, state)[1]

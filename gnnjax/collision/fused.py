@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 
 from gnnjax.arm.kinematics import Vector, dot, joint_terms, subtract
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.exact import exact_test
+from gnnjax.collision.exact import PartTests, part_tests
 from gnnjax.collision.spheres import (
     BLOCKED,
     ITSELF,
@@ -64,15 +64,14 @@ def boxes_clear(
 
 
 class Levels(NamedTuple):
-    """A test in two steps, of which the second is of those alone that the first leaves open.
+    """A test in two steps, of which the second is of what the first leaves open.
 
-    `first(scenes, owner [G], q [G T D]) -> [G T]` are words: 0 is free, `BLOCKED` and above is
-    blocked; for what else is in them see `spheres.py`.
-    `second(scenes, owner [C], words [C], q [C D]) -> [C]` is true where the arm is free.
+    `first(placed, owner [G], q [G T D]) -> [G T]` are words, see `spheres.py`: 0 is free,
+    `BLOCKED` and above is blocked, and others name what is left open to the second.
     """
 
     first: Callable[[Placed, jax.Array, jax.Array], jax.Array]
-    second: Callable[[Placed, jax.Array, jax.Array, jax.Array], jax.Array]
+    second: PartTests
 
 
 class CollisionFunctions(NamedTuple):
@@ -183,7 +182,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         return over_all(placed, owner, q, start, with_obstacle, with_itself, lambda w: w < BLOCKED)
 
     # Nobody asks it of an arm whose spheres leave nothing open.
-    second = exact_test(robot, passes) if is_open else None
+    second = part_tests(robot, passes) if is_open else None
 
     def is_free(
         placed: Placed, owner: Int[Array, " G"], q: Float[Array, "G T D"]
@@ -198,9 +197,28 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             left, free = state
             (rows,) = jnp.nonzero(left, size=_OPEN_AT_ONCE, fill_value=num)
             at = jnp.minimum(rows, num - 1)
-            asked = jnp.where(rows < num, flat[at], 0)
-            found = second(placed, owner[at // each], asked, configurations[at])
-            return left.at[rows].set(False, mode="drop"), free.at[rows].set(found, mode="drop")
+            asked, some = jnp.where(rows < num, flat[at], 0), configurations[at]
+            clear = second.clear_of_itself(some, asked & ITSELF > 0)
+            clear = clear_of_named(placed, owner[at // each], asked, some, clear)
+            return left.at[rows].set(False, mode="drop"), free.at[rows].set(clear, mode="drop")
+
+        def clear_of_named(placed, owner, words, q, clear, second=second):
+            """Which are clear of the obstacles that words name, of those that are `clear`."""
+            number = jnp.arange(len(placed.origins))[:, None]
+            named = words >> (number % OBSTACLE_BITS).astype(jnp.uint32) & 1 > 0
+            named &= clear
+
+            def some_pairs(state):
+                left, clear = state
+                (found,) = jnp.nonzero(left, size=_OPEN_AT_ONCE, fill_value=len(left))
+                of, at = jnp.divmod(jnp.minimum(found, len(left) - 1), len(q))
+                apart = second.clear_of_obstacles(placed, owner[at], of, q[at], found < len(left))
+                clear = clear.at[jnp.where(apart, len(q), at)].set(False, mode="drop")
+                left = left.at[found].set(False, mode="drop")
+                return left & jnp.tile(clear, len(left) // len(q)), clear
+
+            state = named.reshape(-1), clear
+            return jax.lax.while_loop(lambda state: jnp.any(state[0]), some_pairs, state)[1]
 
         state = (flat > 0) & (flat < BLOCKED), flat == 0
         free = jax.lax.while_loop(lambda state: jnp.any(state[0]), decide_some, state)[1]

@@ -6,6 +6,7 @@ calls of one kernel over pairs of configuration and scene. What comes out for a 
 is counted, is what testing it alone and one by one would give.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,7 +15,8 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import Checker, bisection_order, most_intervals
-from gnnjax.collision.spheres import BLOCKED
+from gnnjax.collision.exact import PartTests
+from gnnjax.collision.spheres import BLOCKED, ITSELF, OBSTACLE_BITS
 from gnnjax.scene.scene import Scene
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
@@ -49,6 +51,7 @@ class PlacedScenes(NamedTuple):
     """Scenes of problems, as tests want them."""
 
     scenes: Any  # what `Checker.place` has made, on the device
+    num_obstacles: int  # room for so many in a scene
     many: bool  # whether there are enough for large blocks
 
 
@@ -65,7 +68,7 @@ class SequenceTester:
         levels = checker.levels
         self._place = jax.jit(checker.place)
         self._check = jax.jit(checker.check_each if levels is None else levels.first)
-        self._decide = None if levels is None else jax.jit(levels.second)
+        self._second = None if levels is None else PartTests(*map(jax.jit, levels.second))
         self._order = bisection_order(most_intervals(robot, resolution))
         self._resolution = resolution
         self.computed = 0  # configurations, with those that no sequential test would have needed
@@ -77,7 +80,8 @@ class SequenceTester:
             room *= 16
         rows = np.minimum(np.arange(room), num - 1)
         padded = jax.tree.map(lambda x: np.asarray(x)[rows], scenes)
-        return PlacedScenes(self._place(padded), room * _FIRST_STRETCH > _BLOCKS[1])
+        many = room * _FIRST_STRETCH > _BLOCKS[1]
+        return PlacedScenes(self._place(padded), scenes.mask.shape[1], many)
 
     def warm_up(self, placed: PlacedScenes, num_dof: int) -> None:
         """Compiles what testing in these scenes may need."""
@@ -85,11 +89,13 @@ class SequenceTester:
         for block in blocks:
             rows = np.zeros((block // _TILE, _TILE, num_dof), np.float32)
             jax.block_until_ready(self._check(placed.scenes, np.zeros(len(rows), np.int32), rows))
-        if self._decide is not None:
+        if self._second is not None:
             for block in _OPEN_BLOCKS[: len(blocks) - 1]:
-                owner, words = np.zeros(block, np.int32), np.zeros(block, np.uint32)
-                rows = np.zeros((block, num_dof), np.float32)
-                jax.block_until_ready(self._decide(placed.scenes, owner, words, rows))
+                rows, owner = np.zeros((block, num_dof), np.float32), np.zeros(block, np.int32)
+                apart = self._second.clear_of_obstacles(
+                    placed.scenes, owner, owner, rows, owner > 0
+                )
+                jax.block_until_ready((apart, self._second.clear_of_itself(rows, owner > 0)))
 
     def __call__(self, placed: PlacedScenes, items: Items, num: int) -> Outcome:
         """Tests what is asked for.
@@ -167,7 +173,7 @@ class SequenceTester:
         """
         found = self._run_tiles(placed, owner, q)
         self.computed += len(q)
-        if self._decide is None:
+        if self._second is None:
             return found
         blocked = np.flatnonzero(found >= BLOCKED)
         first = np.full(sequence.max(initial=0) + 1, len(q))
@@ -176,9 +182,9 @@ class SequenceTester:
         rows = np.flatnonzero(~valid & (np.arange(len(q)) < first[sequence]))
         if not len(rows):
             return valid
-        # The first ones of each sequence, and, where these hold, the others.
+        # The first ones of each sequence, and, where these hold, the others; a few at once.
         _, begin, of = np.unique(sequence[rows], return_index=True, return_inverse=True)
-        early = np.arange(len(rows)) - begin[of] < _EARLY
+        early = (np.arange(len(rows)) - begin[of] < _EARLY) | (len(rows) <= _OPEN_BLOCKS[0])
         for some in (early, ~early):
             some = rows[some & (rows < first[sequence[rows]])]
             if not len(some):
@@ -201,25 +207,35 @@ class SequenceTester:
         rows[place] = q
         rows = rows.reshape(len(owners), _TILE, q.shape[1])
         blocks = tuple(block // _TILE for block in _blocks_for(placed))
-        found = _in_blocks(self._check, blocks, placed, owners, rows)
+        check = functools.partial(self._check, placed.scenes)
+        found = _in_blocks(check, blocks, owners, rows)
         return found.reshape(-1)[place]
 
     def _run_open(
         self, placed: PlacedScenes, owner: np.ndarray, words: np.ndarray, q: np.ndarray
     ) -> np.ndarray:
         """Whether configurations are free of what the first level leaves open."""
-        assert self._decide is not None
-        return _in_blocks(self._decide, _OPEN_BLOCKS, placed, owner.astype(np.int32), words, q)
+        assert self._second is not None
+        clear_of_obstacles, clear_of_itself = self._second
+        free = np.ones(len(q), bool)
+        rows = np.flatnonzero(words & ITSELF)
+        if len(rows):
+            free[rows] = _in_blocks(clear_of_itself, _OPEN_BLOCKS, q[rows], free[rows])
+        number = np.arange(placed.num_obstacles)
+        named = words[:, None] >> (number % OBSTACLE_BITS).astype(np.uint32) & 1 > 0
+        row, number = np.nonzero(named & free[:, None])
+        if len(row):
+            function = functools.partial(clear_of_obstacles, placed.scenes)
+            pairs = owner[row].astype(np.int32), number.astype(np.int32), q[row], free[row]
+            held = ~_in_blocks(function, _OPEN_BLOCKS, *pairs)
+            free[row[held]] = False
+        return free
 
 
 def _in_blocks(
-    function: Callable[..., jax.Array],
-    blocks: tuple[int, ...],
-    placed: PlacedScenes,
-    *rows: np.ndarray,
+    function: Callable[..., jax.Array], blocks: tuple[int, ...], *rows: np.ndarray
 ) -> np.ndarray:
-    """What a function says of rows, asked in blocks of a few sizes; those that are missing are
-    zeros."""
+    """What a function says of rows, asked in blocks of a few sizes; what is missing is zero."""
     parts, begin, num = [], 0, len(rows[0])
     while begin < num:
         left = num - begin
@@ -228,9 +244,7 @@ def _in_blocks(
         while block > blocks[0] and left <= block // 4:
             block = blocks[blocks.index(block) - 1]
         end = min(begin + block, num)
-        parts.append(
-            (end - begin, function(placed.scenes, *(_filled(x[begin:end], block) for x in rows)))
-        )
+        parts.append((end - begin, function(*(_filled(x[begin:end], block) for x in rows))))
         begin = end
     # All are on their way before the first is waited for.
     return np.concatenate([np.asarray(found)[:num] for num, found in parts])
