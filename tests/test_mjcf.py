@@ -249,8 +249,8 @@ def test_contact_pairs_count_whatever_bits_and_exclusions_say(tmp_path, configur
     check = jax.jit(make_checker(robot).check_configurations)
     valid = np.asarray(check(scene, jnp.asarray(configurations)))
     np.testing.assert_array_equal(valid[sure], truth[sure] > 0)
-    for q, distance in zip(configurations, truth, strict=True):
-        assert configuration_clearance(robot, scene, q) <= 0 or distance > 0
+    for q in configurations[truth <= 0]:
+        assert configuration_clearance(robot, scene, q) <= 0
     # They meet obstacles, too, in the C engine's world as in the kernel.
     tip = np.asarray(tip_positions(robot, jnp.asarray(configurations[:1])))[0]
     scene = make_scene([tip], [[0.05] * 3])

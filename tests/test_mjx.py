@@ -192,10 +192,13 @@ def test_generated_labels_are_those_of_the_c_engine(tiny, tmp_path):
     assert 0 < num_valid < num_edges
 
 
-def test_plans_are_those_with_the_fused_kernel(tiny, tmp_path):
-    problems = tmp_path / "problems.npz"
-    settings = {"robot": str(tiny.path), "num_problems": 4}
-    generate(GenerateConfig("test", **settings, seed=3, out=problems))
+@pytest.fixture(scope="module")
+def problems(tiny, tmp_path_factory):
+    out = tmp_path_factory.mktemp("problems") / "problems.npz"
+    return generate(GenerateConfig("test", robot=str(tiny.path), num_problems=4, seed=3, out=out))
+
+
+def test_plans_are_those_with_the_fused_kernel(tiny, problems, tmp_path):
     rows = {}
     for checker in ("mjx", "fused"):
         config = EvaluateConfig(
@@ -214,9 +217,7 @@ def test_plans_are_those_with_the_fused_kernel(tiny, tmp_path):
             assert ours[field] == theirs[field]
 
 
-def test_the_default_planner_runs_on_it(tiny, tmp_path):
-    problems = tmp_path / "problems.npz"
-    generate(GenerateConfig("test", robot=str(tiny.path), num_problems=2, out=problems))
+def test_the_default_planner_runs_on_it(tiny, problems, tmp_path):
     config = EvaluateConfig(
         problems=problems,
         json=tmp_path / "guided.json",
