@@ -18,7 +18,7 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 def sparing(folder):
     """A cell that swaps the Kuka's hulls, whose kernels compile for a minute, for some spheres.
 
-    The README's query, which is the notebook's, is planned with the hulls before each release.
+    `.ci/run` plans the README's query, which is nearly the notebook's, with the hulls.
     """
     text = (assets_dir() / "kuka_iiwa14.xml").read_text()
     text = re.sub(r"<mesh [^>]*/>", "", text)
