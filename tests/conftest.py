@@ -83,8 +83,9 @@ def pytest_collection_finish():
 
 # Files that take longest come first, so that no worker is left with one of them at the end.
 _LONG = (
-    "mjx evaluate train families guides model guided_planner notebooks experiments planner engine "
-    "collision train_motion search ablation rounds mjcf classical roadmap assets"
+    "mjx collision train evaluate guided_planner model families guides experiments planner "
+    "train_motion notebooks engine mjcf search classical certify benchmark_collision convex field "
+    "certify_campaign ablation fit roadmap rounds assets"
 ).split()
 
 

@@ -62,15 +62,14 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     planned = []
 
     @functools.cache
-    def stand_in(num_nodes, max_roadmaps, resolution):
-        options = {"max_roadmaps": max_roadmaps, "resolution": resolution}
-        return load_planner(tiny_path, "lazysp", num_nodes=num_nodes, **options)
+    def stand_in(num_nodes):
+        return load_planner(tiny_path, "lazysp", num_nodes=num_nodes)
 
     def counted(config, planner=None):
         before = config.json.exists() and json.loads(config.json.read_text())["complete"]
         planned.extend([] if before else [config.json.name])
         if not config.is_classical:
-            planner = stand_in(config.num_nodes, config.max_roadmaps, config.resolution)
+            planner = stand_in(config.num_nodes)
         return evaluate(config, planner)
 
     monkeypatch.setattr(measure, "evaluate", counted)

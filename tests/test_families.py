@@ -16,10 +16,10 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.problems import family_problem
+from gnnjax.problems import family_problem, labelled
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import arm_reach, sample_family_problem
-from gnnjax.problems.labelled import generate_labelled, problem_keys
+from gnnjax.problems.labelled import problem_keys
 from gnnjax.problems.shards import load_problems, read_manifest
 from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned
 
@@ -30,6 +30,12 @@ NUM_BOXES = {
     "clutter": (10, 20),
     "bin": (5, 5),
 }
+
+
+@functools.cache
+def many_scenes(family):
+    keys = jax.random.split(jax.random.key(0), 200)
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(FAMILIES[family]))(keys))
 
 
 @functools.cache
@@ -62,8 +68,7 @@ def inside(region, point):
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_scenes_fill_a_bucket_with_turned_boxes_of_positive_size(family):
-    keys = jax.random.split(jax.random.key(0), 200)
-    drawn = jax.tree.map(np.asarray, jax.jit(jax.vmap(FAMILIES[family]))(keys))
+    drawn = many_scenes(family)
     scene = drawn.scene
     assert scene.mask.shape[1] in BOX_BUCKETS
     counts = scene.mask.sum(axis=1)
@@ -100,8 +105,7 @@ def test_a_batch_equals_single_draws(tiny_path):
 
 
 def test_only_the_window_leads_through_its_wall():
-    keys = jax.random.split(jax.random.key(1), 20)
-    drawn = jax.tree.map(np.asarray, jax.jit(jax.vmap(FAMILIES["window"]))(keys))
+    drawn = many_scenes("window")
     for i in range(20):
         centers, half_extents = drawn.scene.centers[i, :4], drawn.scene.half_extents[i, :4]
         turn = Rotation.from_quat(drawn.scene.quats[i, 0], scalar_first=True)
@@ -153,9 +157,10 @@ def test_a_training_set_of_a_family_has_roadmaps_and_names_it(tiny_path, tmp_pat
 def test_an_arm_that_a_family_does_not_fit_and_an_unknown_family_are_named(tiny_path, monkeypatch):
     robot = load_robot(tiny_path)
     with pytest.raises(InputError, match=r"no family 'shelves'; there are .*'paper', 'shelf'"):
-        generate_labelled(robot, 0, family="shelves")
+        labelled.generate_labelled(robot, 0, family="shelves")
     with pytest.raises(SystemExit):
         tyro.cli(GenerateConfig, args=["--family", "shelves"])
     monkeypatch.setattr(family_problem, "_MAX_SCENES", 0)
+    generate_labelled = labelled.generate_labelled.__wrapped__  # as if it was not made before
     with pytest.raises(InputError, match=r"no start and goal for 2 of 2 problems .* 'window'"):
         generate_labelled(robot, 0, family="window")(problem_keys(0, "test", 0, 2, "window"))

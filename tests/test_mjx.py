@@ -119,24 +119,20 @@ def test_verdicts_are_those_of_the_fused_kernels_first_level(name, request):
     robot = load_robot(name) if name == "kuka_iiwa14" else request.getfixturevalue(name)
     rng = np.random.default_rng(5)
     fused = make_checker(robot)
-    first, fully = jax.jit(fused.levels.first), jax.jit(fused.check_configurations)
-    clearance = jax.jit(fused.clearance)
+    first = jax.jit(fused.levels.first)
     check = jax.jit(make_checker(robot, "mjx").check_configurations)
-    num_valid, num_open, by_itself = 0, 0, 0
+    num_valid, by_itself, differ = 0, 0, 0
     for num_boxes in (0, 4, 9):
         scene, q = random_scene(rng, num_boxes), random_configurations(rng, robot, 600)
-        valid, free = np.asarray(check(scene, q)), np.asarray(fully(scene, q))
+        valid = np.asarray(check(scene, q))
         placed = fused.place(jax.tree.map(lambda x: x[None], scene))
         found = np.asarray(first(placed, np.zeros(1, np.int32), q[None]))[0] == 0
-        sure = np.abs(np.asarray(clearance(scene, q))) > 1e-4
-        assert (valid == found)[sure].all()
-        assert free[valid & sure].all()
+        differ += (valid != found).sum()
         num_valid += valid.sum()
-        num_open += (free & ~valid).sum()
         by_itself += (~valid).sum() if num_boxes == 0 else 0
-    # Both outcomes, what spheres refuse alone, and self-collisions must have been there.
+    assert differ <= 1  # where spheres touch, to within rounding
+    # Both outcomes and self-collisions must have been there.
     assert 900 < num_valid < 1750
-    assert num_open > 0
     assert by_itself > 0
 
 
@@ -196,10 +192,13 @@ def test_generated_labels_are_those_of_the_c_engine(tiny, tmp_path):
     assert 0 < num_valid < num_edges
 
 
-def test_plans_are_those_with_the_fused_kernel(tiny, tmp_path):
-    problems = tmp_path / "problems.npz"
-    settings = {"robot": str(tiny.path), "num_problems": 4}
-    generate(GenerateConfig("test", **settings, seed=3, out=problems))
+@pytest.fixture(scope="module")
+def problems(tiny, tmp_path_factory):
+    out = tmp_path_factory.mktemp("problems") / "problems.npz"
+    return generate(GenerateConfig("test", robot=str(tiny.path), num_problems=4, seed=3, out=out))
+
+
+def test_plans_are_those_with_the_fused_kernel(tiny, problems, tmp_path):
     rows = {}
     for checker in ("mjx", "fused"):
         config = EvaluateConfig(
@@ -218,9 +217,7 @@ def test_plans_are_those_with_the_fused_kernel(tiny, tmp_path):
             assert ours[field] == theirs[field]
 
 
-def test_the_default_planner_runs_on_it(tiny, tmp_path):
-    problems = tmp_path / "problems.npz"
-    generate(GenerateConfig("test", robot=str(tiny.path), num_problems=2, out=problems))
+def test_the_default_planner_runs_on_it(tiny, problems, tmp_path):
     config = EvaluateConfig(
         problems=problems,
         json=tmp_path / "guided.json",

@@ -177,15 +177,16 @@ def test_what_can_be_refused_is_refused_before_planning(
     assert [path.name for path in tmp_path.iterdir()] == ["scene.json"]
 
 
-def test_an_arm_of_a_box_is_planned_for_by_its_spheres_or_by_mjx(tmp_path):
+def test_an_arm_of_a_box_is_planned_for_and_its_name_is_said(tmp_path):
     path = tmp_path / "brick.xml"
     path.write_text(
         '<mujoco><worldbody><body><joint range="-90 90" limited="true"/>'
         '<geom name="brick" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>'
     )
+    planner = load_planner(path, "lazysp", num_nodes=20)
+    assert planner.plan(make_scene([], []), [0.0], [1.0]).success
     for checker in ("fused", "mjx"):
-        planner = load_planner(path, "lazysp", checker=checker)
-        assert planner.plan(make_scene([], []), [0.0], [1.0]).success
+        planner = load_planner(path, "lazysp", checker=checker, num_nodes=20)
         with pytest.raises(InputError, match=r"start .* is in collision: brick and box 0 overlap"):
             planner.plan(make_scene([[0.2, 0, 0]], [[0.15] * 3]), [0.0], [1.0])
 

@@ -180,10 +180,16 @@ def test_a_walk_ends_whatever_the_scorer_says(value):
     assert bool(found.success) == (walked[-1] == GOAL)
 
 
-def test_a_walk_without_neighbors_fails_without_checks():
-    nodes = jnp.zeros((4, 3)).at[1].set(1.0)
-    roadmap = connect(nodes[:2], jnp.ones(2, bool), 0.1, 2)
-    for found in (by_distance(roadmap), lazily(roadmap)):
+@pytest.fixture(scope="module")
+def apart():
+    """Start and goal alone, without an edge, and padding."""
+    nodes = np.zeros((50, 3), np.float32)
+    nodes[1] = 1.0
+    return jax.jit(lambda *graph: connect(*graph, 0.42, 20))(nodes, np.arange(50) < 2)
+
+
+def test_a_walk_without_neighbors_fails_without_checks(apart):
+    for found in (by_distance(apart), lazily(apart)):
         assert not found.success
         assert int(found.edge_checks) == 0
         assert GOAL not in np.asarray(found.path)
@@ -313,10 +319,8 @@ def test_a_search_gives_up_where_the_cheapest_path_is_too_dear():
         assert 1e-3 < float(found.path_price) < np.inf
 
 
-def test_a_search_without_any_path_has_an_infinite_price():
-    nodes = jnp.zeros((50, 3)).at[1].set(1.0)
-    roadmap = connect(nodes, jnp.arange(50) < 2, 0.42, 20)
-    found = search_unchecked(roadmap, no_price(roadmap), 1.0)
+def test_a_search_without_any_path_has_an_infinite_price(apart):
+    found = search_unchecked(apart, no_price(apart), 1.0)
     assert not found.success
     assert found.path_price == np.inf
 

@@ -197,12 +197,12 @@ def test_a_run_logs_validates_and_leaves_weights_that_plan(tiny_path, smoke):
     losses = [e.simple_value for e in read_events(events) if e.tag == "loss"]
     np.testing.assert_allclose(losses, [first["loss"], second["loss"]], rtol=1e-6)
     data = load_problems(smoke.data, load_robot(tiny_path)).problems
-    for method in ("gnn", "gnn_lazy"):
-        planner = load_planner(
-            tiny_path, method, num_nodes=30, weights=smoke.out / "weights.safetensors"
-        )
-        plans = planner.plan_batch(data)
-        assert sum(plan.success for plan in plans) >= 4
+    # The other planner that takes them has just validated them.
+    planner = load_planner(
+        tiny_path, "gnn_lazy", num_nodes=30, weights=smoke.out / "weights.safetensors"
+    )
+    plans = planner.plan_batch(data)
+    assert sum(plan.success for plan in plans) >= 4
     meta = read_metadata(smoke.out / "weights.safetensors")
     assert meta["training"]["epochs"] == 2
     assert (meta["model"]["channels"], meta["model"]["without"]) == (8, ["gat"])

@@ -54,10 +54,12 @@ class LabelledRoadmap(NamedTuple):
 
 
 @functools.cache
+@functools.cache
 def generate_labelled(
     robot: Robot, num_nodes: int, checker: Backend = "fused", family: str = "paper"
 ) -> Callable[[jax.Array], Problem | LabelledRoadmap]:
-    """Makes the compiled function `keys [P] -> LabelledRoadmap [P]`, or `Problem [P]` for 0 nodes.
+    """Makes the compiled function `keys [P] -> LabelledRoadmap [P]`, or `Problem [P]` for 0 nodes;
+    once for the same arguments.
 
     The function raises `InputError` where the family does not fit the arm.
     """
