@@ -54,7 +54,6 @@ class LabelledRoadmap(NamedTuple):
 
 
 @functools.cache
-@functools.cache
 def generate_labelled(
     robot: Robot, num_nodes: int, checker: Backend = "fused", family: str = "paper"
 ) -> Callable[[jax.Array], Problem | LabelledRoadmap]:
