@@ -11,6 +11,7 @@ from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import own_planner
+from gnnjax.scene.holding import attach_from_json
 from gnnjax.scene.scene_file import scene_from_json
 
 
@@ -26,6 +27,9 @@ class PlanConfig(PlannerOptions):
     """Joint values, rad."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
+    attach: Path | None = None
+    """JSON file with what the arm holds: {"body": NAME, "boxes": [...]}, lists as in a scene, in
+    the frame of that body; "mass" (kg) and "allow" (bodies that it may touch) if need be."""
     out: Path = Path("path.npz")
     """Where the path goes: arrays path [L, D], scene boxes and counts."""
     image: Path | None = None
@@ -39,7 +43,10 @@ def main(config: PlanConfig) -> int:
     # All that can be refused is refused before planning, which may take a minute.
     check_target(config.out)
     scene = scene_from_json(config.scene)
-    planner = own_planner(load_robot(config.robot), config)
+    robot = load_robot(config.robot)
+    if config.attach is not None:
+        robot = attach_from_json(robot, config.attach)
+    planner = own_planner(robot, config)
     draw = None
     if config.image is not None:
         try:

@@ -36,10 +36,10 @@ def test_files_that_the_texts_name_exist():
 # Imports go down this list only.
 ORDER = """
 interruption errors files devices
-arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.covers arm.contacts
-arm.robot arm.kinematics
+arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
+arm.contacts arm.robot arm.kinematics
 scene.shapes scene.scene scene.scene_file scene.geometry scene.field scene.mujoco_world
-scene.pose scene.messages scene.moveit scene.from_mjcf
+scene.pose scene.holding scene.messages scene.moveit scene.from_mjcf
 collision.spheres collision.simplex collision.convex collision.exact collision.components
 collision.fused
 collision.mjx collision.checker collision.sequences collision.obstacles collision.hulls
@@ -60,6 +60,7 @@ generate paper.losses train train_motion evaluate plot plan fit
 """.split()
 # Imported up the list, inside of functions: by name, when somebody asks for it.
 LAZY = {
+    ("arm.robot", "scene.holding"),
     ("planning.planner", "training.weights"),
     ("planning.planner", "paper"),
     ("planning.planner", "baselines.ompl"),

@@ -1,5 +1,6 @@
 """Planning a query end to end, and what bad input gets."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -20,7 +21,9 @@ from gnnjax.plan import main as plan_once
 from gnnjax.planning import planner as planners
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import load_planner
+from gnnjax.scene.holding import attach_from_json
 from gnnjax.scene.scene import make_scene
+from gnnjax.scene.scene_file import scene_from_json
 from gnnjax.training.weights import default_weights, load_network
 from tests.fine_scan import collides_anywhere, random_scene
 
@@ -151,6 +154,29 @@ def test_the_command_says_in_one_line_what_is_wrong(tiny_path, tmp_path):
     assert done.stderr.startswith("error: box 0 of 'scene.json' has half_extents")
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "path.npz").exists()
+
+
+def test_the_command_plans_for_what_is_held(tiny_path, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    scene = {"boxes": [{"center": [0.9, 0, 0.6], "half_extents": [0.3, 0.1, 0.1]}]}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    rod = {"center": [0.2, 0, 0], "half_extents": [0.02, 0.02, 0.6]}
+    (tmp_path / "rod.json").write_text(json.dumps({"body": "lower", "boxes": [rod]}))
+    ends = {"start": (-1.0, 0.0, 0.0), "goal": (1.0, 0.0, 0.0)}
+    options = {"planner": "lazysp", "num_nodes": 60}
+    config = PlanConfig(scene=Path("scene.json"), robot=str(tiny_path), **ends, **options)
+    held = dataclasses.replace(config, attach=Path("rod.json"), out=Path("held.npz"))
+    assert plan_once(config) == plan_once(held) == 0
+    robots = [load_robot(tiny_path)]
+    robots.append(attach_from_json(robots[0], "rod.json"))
+    scene = scene_from_json("scene.json")
+    paths = [np.load(file)["path"] for file in ("path.npz", "held.npz")]
+    proven = [[certify_path(robot, scene, path) for path in paths] for robot in robots]
+    assert proven == [[True, True], [False, True]]
+    assert "tiny_holding_" in str(np.load("held.npz")["robot"])
+    (tmp_path / "rod.json").write_text('{"boxes": []}')
+    with pytest.raises(InputError, match=r"file to attach 'rod\.json' names no body"):
+        plan_once(held)
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,8 @@ def always_touching(
     pairs: np.ndarray,
     home: np.ndarray | None,
     parts: Sequence[Part],
-    path: Path,
+    called: str,
+    remedy: str,
 ) -> set[tuple[int, int]]:
     """Those of `pairs` that MuJoCo finds in contact in every one of some random configurations, or
     in the home that the model's author chose.
@@ -93,7 +94,8 @@ def always_touching(
         pairs: `[Q 2]` of parts.
         home: `[D]` rad or m, if there is one.
         parts: of the arm.
-        path: for messages.
+        called: the arm, in messages.
+        remedy: what to do about others, in messages.
 
     Raises:
         InputError: others are in contact in all of them.
@@ -128,9 +130,8 @@ def always_touching(
     if all(left):
         (a, b), count = Counter(pair for one in left for pair in one).most_common(1)[0]
         raise InputError(
-            f"{path.name!r} collides with itself in all of {_SAMPLES} random configurations, "
-            f"{parts[a].name} with {parts[b].name} in {count}; if they may touch, give "
-            "allow=[(body, body)], or exclude them in the MJCF (<contact><exclude .../>)"
+            f"{called} collides with itself in all of {_SAMPLES} random configurations, "
+            f"{parts[a].name} with {parts[b].name} in {count}; if they may touch, {remedy}"
         )
     return always
 

@@ -50,13 +50,13 @@ def cover_parts(parts: Sequence[Part], kept: Path | None = None) -> Rows:
     covers = iter(_read_cover(kept, angular) or _share(_fitted(angular)))
     rows = []
     for number, part in enumerate(parts):
-        cover = next(covers) if len(part.vertices) > 2 else _chain(part)
+        cover = next(covers) if len(part.vertices) > 2 else chain_cover(part)
         rows += [(number, *sphere) for sphere in zip(*cover, strict=True)]
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     return Rows(*columns)
 
 
-def _chain(part: Part) -> Cover:
+def chain_cover(part: Part) -> Cover:
     """A sphere as it is, or a capsule as spheres along its axis, at most a radius apart."""
     first, last = part.vertices[[0, -1]]
     pieces = int(np.ceil(np.linalg.norm(last - first) / part.radius)) if part.radius > 0 else 0

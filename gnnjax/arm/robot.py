@@ -16,7 +16,7 @@ import functools
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -102,6 +102,14 @@ class Robot:
     def joint_range(self) -> np.ndarray:
         return self.joint_upper - self.joint_lower
 
+    def attach(self, body: str, shapes: Sequence, **how: Any) -> "Robot":
+        """A new arm whose body of that name holds shapes, by `pose`, `mass`, `allow`: see
+        `gnnjax.scene.holding.attach`."""
+        # Shapes are those of scenes, which come after arms.
+        from gnnjax.scene.holding import attach
+
+        return attach(self, body, shapes, **how)
+
 
 def load_robot(
     robot: str | Path,
@@ -180,7 +188,7 @@ def _robot_of(
     check_joints(model, path)
     # Only bodies that carry geoms or joints matter, but keeping all makes parents simple:
     # MuJoCo's body 0 is the world, so body b is bodies[b - 1].
-    bodies = tuple(_body(model, b) for b in range(1, model.nbody))
+    bodies = tuple(read_body(model, b) for b in range(1, model.nbody))
 
     geom_ids = collision_geoms(model)
     if not len(geom_ids):
@@ -203,7 +211,8 @@ def _robot_of(
 
     tested = self_pairs(model, geom_ids)
     pairs = without_bodies(tested, parts, [body.name for body in bodies], allow, path)
-    touching = always_touching(model, geom_ids, pairs, reading.home, parts, path)
+    remedy = "give allow=[(body, body)], or exclude them in the MJCF (<contact><exclude .../>)"
+    touching = always_touching(model, geom_ids, pairs, reading.home, parts, repr(path.name), remedy)
     free = touching | bearings(model, geom_ids, pairs, parts)
     pairs = np.array([two for two in pairs.tolist() if tuple(two) not in free], np.int64)
     pairs = pairs.reshape(-1, 2)
@@ -216,12 +225,6 @@ def _robot_of(
         notes = *notes, f"parts that always touch, or do at home, may: {named}"
 
     rows = cover_parts(parts, cover_file(path))
-    of_part = [np.flatnonzero(rows.parts == number) for number in range(len(parts))]
-    row_pairs = [
-        np.sort(np.stack(np.meshgrid(of_part[a], of_part[b]), axis=-1).reshape(-1, 2), axis=1)
-        for a, b in pairs.tolist()
-    ]
-    row_pairs = np.concatenate([np.empty((0, 2), np.int64), *row_pairs])
     return Robot(
         name=path.stem,
         path=path,
@@ -245,12 +248,29 @@ def _robot_of(
         geom_centers=rows.centers,
         geom_radii=rows.radii,
         geom_inner_radii=rows.inner_radii,
-        self_pairs=row_pairs[np.lexsort(row_pairs.T[::-1])],
+        self_pairs=pairs_of_rows(rows.parts, pairs),
         notes=notes,
     )
 
 
-def _body(model: mujoco.MjModel, b: int) -> Body:
+def pairs_of_rows(geom_parts: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Pairs `[S 2]` of the rows of a cover, of pairs of parts, in order.
+
+    Args:
+        geom_parts: `[G]` part of each row.
+        pairs: `[Q 2]` of parts.
+    """
+    of_part = [np.flatnonzero(geom_parts == number) for number in range(1 + geom_parts.max())]
+    rows = [
+        np.sort(np.stack(np.meshgrid(of_part[a], of_part[b]), axis=-1).reshape(-1, 2), axis=1)
+        for a, b in pairs.tolist()
+    ]
+    rows = np.concatenate([np.empty((0, 2), np.int64), *rows])
+    return rows[np.lexsort(rows.T[::-1])]
+
+
+def read_body(model: mujoco.MjModel, b: int) -> Body:
+    """Body b of a model, which has no number 0, its world."""
     first, count = model.body_jntadr[b], model.body_jntnum[b]
     joints = tuple(
         Joint(

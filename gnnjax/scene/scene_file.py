@@ -43,40 +43,65 @@ def scene_from_json(path: str | Path) -> Scene:
         InputError: the file is missing, is no JSON, holds anything else, or an obstacle lacks what
             it needs.
     """
-    called = repr(str(path))
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        data = json.loads(text, object_pairs_hook=_unrepeated)
-    except FileNotFoundError:
-        raise InputError(f"no scene file {called}; check the path") from None
-    except IsADirectoryError:
-        raise InputError(f"scene file {called} is a folder; name a file") from None
-    except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, or nested without end
-        raise InputError(f"scene file {called} is no JSON: {error}; mend it") from None
-    known = list(_LISTS.values())
+    called = f"scene file {str(path)!r}"
+    data = read_json(path, "scene file")
     if not isinstance(data, dict) or not data:
         raise InputError(
-            f'scene file {called} holds no list of obstacles; write {{"boxes": [...]}} or others '
-            f"of {known}"
+            f'{called} holds no list of obstacles; write {{"boxes": [...]}} or others of '
+            f"{list(_LISTS.values())}"
         )
+    return scene_from_shapes(shapes_of(data, called, repr(str(path))), source=repr(str(path)))
+
+
+def read_json(path: str | Path, what: str) -> Any:
+    """What a JSON file holds.
+
+    Args:
+        path: of the file.
+        what: it should be, for error messages.
+
+    Raises:
+        InputError: no such file, or no JSON.
+    """
+    called = f"{what} {str(path)!r}"
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        return json.loads(text, object_pairs_hook=_unrepeated)
+    except FileNotFoundError:
+        raise InputError(f"no {called}; check the path") from None
+    except IsADirectoryError:
+        raise InputError(f"{called} is a folder; name a file") from None
+    except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, or nested without end
+        raise InputError(f"{called} is no JSON: {error}; mend it") from None
+
+
+def shapes_of(data: dict[str, Any], called: str, short: str) -> list[Shape]:
+    """The obstacles in the lists of a file.
+
+    Args:
+        data: the lists, by their names.
+        called: the file, in error messages.
+        short: the same, in those of one obstacle.
+
+    Raises:
+        InputError: another list, too many obstacles, or one that lacks what it needs.
+    """
+    known = list(_LISTS.values())
     # What is not read would be planned through.
     if unknown := sorted(data.keys() - set(known)):
         raise InputError(
-            f"scene file {called} has {unknown}, and there are only {known}; enclose such "
+            f"{called} has {unknown}, and there are only {known}; enclose such "
             "obstacles in one of those, and remove what is none"
         )
     for name, listed in data.items():
         if not isinstance(listed, list):
-            raise InputError(f"scene file {called} has {name} = {brief(listed)}; give a list")
-    box_bucket(
-        sum(map(len, data.values())), f"scene file {called}"
-    )  # too many are refused before each is read
-    shapes = [
-        Shape(kind, _checked(kind, values, f"{kind} {i} of {called}"))
+            raise InputError(f"{called} has {name} = {brief(listed)}; give a list")
+    box_bucket(sum(map(len, data.values())), called)  # too many are refused before each is read
+    return [
+        Shape(kind, _checked(kind, values, f"{kind} {i} of {short}"))
         for kind, name in _LISTS.items()
         for i, values in enumerate(data.get(name, []))
     ]
-    return scene_from_shapes(shapes, source=called)
 
 
 def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
