@@ -14,6 +14,7 @@ from gnnjax.arm.parts import geom_name
 from gnnjax.arm.urdf import read_urdf
 from gnnjax.errors import InputError
 
+ONE_TURN = 2 * math.pi + 1e-5  # rad; a range beyond is of a joint that turns more than once
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _TRN_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 # What stands for the surroundings where it is fixed to the world.
@@ -76,6 +77,19 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     if endless:
         names = ", ".join(joint_name(model, j) for j in endless)
         notes.append(f"joints without limits are planned within half a turn either way: {names}")
+    turning = [
+        j
+        for j in choice.planned
+        if int(model.jnt_type[j]) == _HINGE
+        and model.jnt_limited[j]
+        and np.ptp(model.jnt_range[j]) > ONE_TURN
+    ]
+    if turning:
+        names = ", ".join(joint_name(model, j) for j in turning)
+        notes.append(
+            "ways are looked for within one turn of joints that turn by more, and around start and "
+            f"goal, which may lie in any: {names}"
+        )
     ground = [
         g
         for g in collision_geoms(model).tolist()

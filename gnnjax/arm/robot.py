@@ -26,7 +26,7 @@ from gnnjax.arm.covers import cover_file, cover_parts
 from gnnjax.arm.joints import joint_name
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom, quat_to_matrix
-from gnnjax.arm.reading import Reading, read_arm
+from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
 from gnnjax.errors import InputError
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -101,6 +101,28 @@ class Robot:
     @property
     def joint_range(self) -> np.ndarray:
         return self.joint_upper - self.joint_lower
+
+    @functools.cached_property
+    def turns_more_than_once(self) -> np.ndarray:
+        """`[D]` which joints are hinges that turn by more than 2 pi."""
+        hinge = self.mj_model.jnt_type == _HINGE
+        return hinge & (self.joint_range > ONE_TURN)
+
+    @functools.cached_property
+    def drawn_lower(self) -> np.ndarray:
+        """`[D]` rad or m, from where configurations are drawn: the joint limits, but one turn alone
+        of joints that turn more than once, the one nearest to -pi to pi.
+
+        All that the arm can do is in there, and the others would thin out what is drawn.
+        """
+        first = np.clip(-np.pi, self.joint_lower, self.joint_upper - 2 * np.pi)
+        return np.where(self.turns_more_than_once, first, self.joint_lower).astype(np.float32)
+
+    @functools.cached_property
+    def drawn_upper(self) -> np.ndarray:
+        """`[D]` rad or m, up to where; see `drawn_lower`."""
+        last = np.minimum(self.drawn_lower + 2 * np.pi, self.joint_upper)
+        return np.where(self.turns_more_than_once, last, self.joint_upper).astype(np.float32)
 
     def attach(self, body: str, shapes: Sequence, **how: Any) -> "Robot":
         """A new arm whose body of that name holds shapes, by `pose`, `mass`, `allow`: see

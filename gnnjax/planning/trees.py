@@ -81,7 +81,10 @@ def grow(
         for x in (progress.problems.start, progress.problems.goal)
     ]
     draws = np.random.default_rng([seed, 2]).random((rounds, _BRANCHES, robot.num_dof))
-    draws = (robot.joint_lower + draws * robot.joint_range).astype(np.float32)
+    # An end may lie in another turn of a joint.
+    ends = np.stack([progress.problems.start, progress.problems.goal])[:, ids].astype(np.float32)
+    lower = np.minimum(robot.drawn_lower, ends.min(axis=0))
+    span = np.maximum(robot.drawn_upper, ends.max(axis=0)) - lower
     for number, goals in enumerate(draws):
         still = progress.open(time_limit)
         rows = np.flatnonzero(still[ids])
@@ -92,6 +95,7 @@ def grow(
         first, second = trees if number % 2 == 0 else trees[::-1]
         goal = np.tile(goals, (len(rows), 1))
         rows = np.repeat(rows, _BRANCHES)
+        goal = (lower[rows] + goal * span[rows]).astype(np.float32)
         tips = _extend(progress, tester, placed, ids, first, rows, goal, _LONGEST[0])
         grown = tips >= 0
         rows, tips = rows[grown], tips[grown]

@@ -163,7 +163,7 @@ def _find_tip_in(
     wanted: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """The first valid configuration with the tip in a region, and whether there is one."""
-    lower, upper = robot.joint_lower, robot.joint_upper
+    lower, upper = robot.drawn_lower, robot.drawn_upper
 
     def unfinished(state):
         blocks, _, found = state

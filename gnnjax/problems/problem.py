@@ -64,5 +64,5 @@ def sample_problem(
         return check_configurations(scene, q)
 
     # Sixteen draws a block, of which the first two that are free count.
-    ends = sample_free(ends_key, check, robot.joint_lower, robot.joint_upper, 16, wanted=2)
+    ends = sample_free(ends_key, check, robot.drawn_lower, robot.drawn_upper, 16, wanted=2)
     return Problem(ends.nodes[0], ends.nodes[1], scene)

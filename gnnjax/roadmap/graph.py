@@ -59,8 +59,8 @@ def default_slots(num_nodes: int) -> int:
 def radius_for_degree(robot: Robot, num_nodes: int, mean_degree: float) -> float:
     """The r-disc radius that gives uniform nodes a mean degree, in configuration units.
 
-    The share of node pairs nearer than r is measured on pairs drawn once between the joint limits,
-    which takes the boundary into account; in seven dimensions most nodes are near it, and the
+    The share of node pairs nearer than r is measured on pairs drawn once where nodes are, which
+    takes the boundary into account; in seven dimensions most nodes are near it, and the
     volume of a ball would give a degree several times too large.
     """
     share = min(1.0, mean_degree / max(1, num_nodes - 1))
@@ -70,7 +70,8 @@ def radius_for_degree(robot: Robot, num_nodes: int, mean_degree: float) -> float
 @functools.lru_cache(maxsize=2)  # of 4 MB each
 def _pair_distances(robot: Robot) -> np.ndarray:
     generator = np.random.default_rng(0)
-    pairs = generator.random((2, 500_000, robot.num_dof)) * robot.joint_range
+    pairs = generator.random((2, 500_000, robot.num_dof))
+    pairs *= robot.drawn_upper - robot.drawn_lower
     return np.linalg.norm(pairs[0] - pairs[1], axis=1)
 
 

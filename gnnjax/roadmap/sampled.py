@@ -101,8 +101,9 @@ def sample_roadmap(
     samples = sample_free(
         key,
         check_configurations,
-        robot.joint_lower,
-        robot.joint_upper,
+        # An end may lie in another turn of a joint.
+        jnp.minimum(robot.drawn_lower, jnp.minimum(start, goal)),
+        jnp.maximum(robot.drawn_upper, jnp.maximum(start, goal)),
         padded - 2,
         wanted=num_nodes - 2,
     )

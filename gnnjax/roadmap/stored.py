@@ -44,11 +44,12 @@ def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
         InputError: hardly any configuration of the arm is free of self-collision.
     """
     nodes = np.zeros((0, robot.num_dof), np.float32)
+    lower, upper = robot.drawn_lower, robot.drawn_upper
     block = 1 << int(num_nodes - 1).bit_length()
     for number in range(20):
         drawn = sobol_points(robot.num_dof, seed, number * block, block)
-        drawn = (robot.joint_lower + drawn * robot.joint_range).astype(np.float32)
-        drawn = np.clip(drawn, robot.joint_lower, robot.joint_upper)
+        drawn = (lower + drawn * (upper - lower)).astype(np.float32)
+        drawn = np.clip(drawn, lower, upper)
         nodes = np.concatenate([nodes, drawn[is_self_free(robot, drawn)]])[:num_nodes]
         if len(nodes) == num_nodes:
             padding = node_bucket(num_nodes + 2) - 2 - num_nodes
