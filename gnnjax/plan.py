@@ -31,7 +31,8 @@ class PlanConfig(PlannerOptions):
     """JSON file with what the arm holds: {"body": NAME, "boxes": [...]}, lists as in a scene, in
     the frame of that body; "mass" (kg) and "allow" (bodies that it may touch) if need be."""
     out: Path = Path("path.npz")
-    """Where the path goes: arrays path [L, D], scene boxes and counts."""
+    """Where the path goes: arrays path [L, D], cost, clearance (m, from obstacles,
+    proven) and counts."""
     image: Path | None = None
     """Where a picture of the path goes (needs the viz extra)."""
     seed: int = 0
@@ -67,11 +68,14 @@ def main(config: PlanConfig) -> int:
         f"{plan.edge_checks} edge checks, {plan.configuration_checks} configuration checks "
         f"({plan.sampling_checks} for sampling)"
     )
+    clearance = planner.clearance(scene, plan)
+    print(f"proven to keep {1e3 * clearance:.0f} mm from all obstacles, or more")
 
     def write(file: Path) -> None:
         arrays = {name: getattr(plan, name) for name in plan._fields if name != "reason"}
+        arrays |= {"robot": np.array(planner.robot.name), "clearance": np.array(clearance)}
         with open(file, "wb") as stream:
-            np.savez_compressed(stream, robot=np.array(planner.robot.name), **arrays)
+            np.savez_compressed(stream, **arrays)
 
     atomic_write(config.out, write)
     print(f"wrote {config.out}")

@@ -14,6 +14,7 @@ from gnnjax.collision.certify import (
     clearances,
     configuration_clearance,
     path_clearance,
+    proven_clearance,
 )
 from gnnjax.collision.gaps import Moments, gaps_of
 from gnnjax.collision.obstacles import obstacles_of
@@ -125,6 +126,29 @@ def test_the_clearance_of_a_path_is_the_least_along_it(robots):
     # No point of the arm, 1 m long, moves by more than 0.03 m to the next sample.
     assert least - 1e-6 <= path_clearance(robot, scene, path, 0.02) <= least + 0.03
     assert path_clearance(robot, scene, path, 0.001) == pytest.approx(least, abs=2e-3)
+
+
+def test_the_proven_clearance_of_a_path_is_its_least_distance_to_obstacles(robots):
+    robot, rng, found = robots["tiny"], np.random.default_rng(2), 0
+    nothing = make_scene([], [])
+    while found < 6:
+        path = rng.uniform(robot.joint_lower, robot.joint_upper, (3, robot.num_dof))
+        scene = random_scene(rng, num=3)
+        if not certify_path(robot, scene, path):
+            continue
+        least, alone = (path_clearance(robot, x, path, 0.001) for x in (scene, nothing))
+        if alone < least + 1e-3:  # the arm comes nearer to itself
+            continue
+        found += 1
+        assert least - 2e-3 <= proven_clearance(robot, scene, path) <= least
+        assert proven_clearance(robot, scene, path, most=least / 2) == least / 2
+    assert proven_clearance(robot, nothing, path) == 0.25
+
+
+def test_a_path_that_touches_has_no_clearance(robots):
+    scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
+    with pytest.raises(InputError, match="the path is not certified, so that it has no clearance"):
+        proven_clearance(robots["tiny"], scene, np.zeros((1, 3)))
 
 
 def test_a_slide_joint_reaches_as_far_as_it_is_from_its_reference(tmp_path):

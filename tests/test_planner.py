@@ -12,7 +12,7 @@ import pytest
 from flax import nnx
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_path, configuration_clearance
+from gnnjax.collision.certify import certify_path, configuration_clearance, proven_clearance
 from gnnjax.errors import InputError
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.paper.strategy import gnn
@@ -131,6 +131,10 @@ def test_the_command_plans_and_draws(tiny_path, tmp_path):
     with np.load(tmp_path / "path.npz") as file:
         assert file["path"].shape[1] == 3
         assert file["certified"]
+        robot, boxes = load_robot(tiny_path), scene_from_json(tmp_path / "scene.json")
+        assert file["clearance"] == proven_clearance(robot, boxes, file["path"])
+        said = f"proven to keep {1e3 * file['clearance']:.0f} mm from all obstacles"
+        assert said in done.stdout
     assert (tmp_path / "plan.png").stat().st_size > 10_000
 
 
@@ -177,6 +181,16 @@ def test_the_command_plans_for_what_is_held(tiny_path, tmp_path, monkeypatch, ca
     (tmp_path / "rod.json").write_text('{"boxes": []}')
     with pytest.raises(InputError, match=r"file to attach 'rod\.json' names no body"):
         plan_once(held)
+
+
+def test_the_clearance_of_a_plan_is_at_least_the_margin_and_that_of_none_is_refused(tiny_path):
+    planner = load_planner(tiny_path, "lazysp", num_nodes=60, max_roadmaps=2, margin=0.04)
+    scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
+    plan = planner.plan(scene, [-1.5, 0, 0], [1.5, 0, 0])
+    assert plan.success
+    assert planner.clearance(scene, plan) >= 0.039
+    with pytest.raises(InputError, match="there is no path to measure: none"):
+        planner.clearance(scene, plan._replace(success=False, reason="none"))
 
 
 @pytest.mark.parametrize(
