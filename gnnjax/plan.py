@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gnnjax.arm.robot import load_robot
+from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import own_planner
+from gnnjax.problems.moveit import problem_from_moveit
+from gnnjax.problems.problem import Problem
+from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
-from gnnjax.scene.scene_file import scene_from_json
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -20,11 +22,14 @@ class PlanConfig(PlannerOptions):
     """Plan one query and write its path."""
 
     scene: Path
-    """JSON file with the boxes."""
-    start: tuple[float, ...]
+    """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt) or .xml (a
+    MuJoCo model, less the robot in it)."""
+    start: tuple[float, ...] | None = None
     """Joint values, rad."""
-    goal: tuple[float, ...]
+    goal: tuple[float, ...] | None = None
     """Joint values, rad."""
+    request: Path | None = None
+    """MoveIt's motion plan request (.yaml), in place of start and goal."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
     attach: Path | None = None
@@ -43,8 +48,8 @@ def main(config: PlanConfig) -> int:
     """Plans, prints a summary and writes the files; returns 1 where there is no path."""
     # All that can be refused is refused before planning, which may take a minute.
     check_target(config.out)
-    scene = scene_from_json(config.scene)
     robot = load_robot(config.robot)
+    start, goal, scene = _read(config, robot)
     if config.attach is not None:
         robot = attach_from_json(robot, config.attach)
     planner = own_planner(robot, config)
@@ -59,7 +64,7 @@ def main(config: PlanConfig) -> int:
             ) from None
         check_picture(config.image)
     print("compiling (the first run takes up to a minute, later ones seconds) and planning ...")
-    plan = planner.plan(scene, np.array(config.start), np.array(config.goal), seed=config.seed)
+    plan = planner.plan(scene, start, goal, seed=config.seed)
     if not plan.success:
         print(plan.reason)
         return 1
@@ -83,6 +88,23 @@ def main(config: PlanConfig) -> int:
         draw(planner.robot, scene, plan.path, config.image)
         print(f"wrote {config.image}")
     return 0
+
+
+def _read(config: PlanConfig, robot: Robot) -> Problem:
+    """The problem that files and options say."""
+    given = config.start is not None, config.goal is not None
+    if config.request is None:
+        if not all(given):
+            raise InputError("a query needs --start and --goal, or a --request of MoveIt's")
+        ends = (np.array(q) for q in (config.start, config.goal))
+        return Problem(*ends, read_scene(config.scene, robot))
+    if any(given):
+        raise InputError("--request has a start and a goal; leave --start and --goal out")
+    if config.scene.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(
+            f"--request needs a planning scene of MoveIt (.yaml); --scene is {str(config.scene)!r}"
+        )
+    return problem_from_moveit(config.scene, config.request, robot)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """A query and its answer: what every planner checks first and what it returns."""
 
+import logging
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -13,6 +14,9 @@ from gnnjax.errors import InputError, one_line
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.mujoco_world import deepest_contact, depth_in_base
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
+from gnnjax.scene.units import doubtful_units
+
+_LOG = logging.getLogger(__name__)
 
 # m; how far what the base stands on may reach into it.
 BASE_CONTACT = 0.005
@@ -62,6 +66,8 @@ def check_query(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns start and goal as arrays, or says what is wrong with the query.
 
+    Logs a line where the scene looks as if it were in millimetres.
+
     Args:
         robot: the arm.
         scene: one scene.
@@ -85,6 +91,8 @@ def check_query(
                 f"{name} has shape {q.shape}; {robot.name} needs {robot.num_dof} joint values"
             )
         ends.append(q)
+    if doubt := doubtful_units(robot, scene):
+        _LOG.warning("%s", doubt)
     query = jax.tree.map(lambda x: np.asarray(x)[None], Problem(ends[0], ends[1], scene))
     (reason,) = check_queries(robot, query, margin)
     if reason is not None:

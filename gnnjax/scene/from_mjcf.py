@@ -98,6 +98,17 @@ def scene_from_mjcf(
     return scene_from_shapes(shapes, source=called)
 
 
+def mjcf_holds(path: str | Path, robot: Robot) -> bool:
+    """Whether a MuJoCo model holds a robot, or a body called like one of its first.
+
+    Raises:
+        InputError: a file that MuJoCo cannot read.
+    """
+    own, there = robot.mj_model, _keys(_compiled(path, f"{str(path)!r}"))
+    first = [key for b, key in enumerate(_keys(own)) if b and not own.body_parentid[b]]
+    return any(key in there for key in first)
+
+
 def _compiled(path: str | Path, called: str) -> mujoco.MjModel:
     if not Path(path).is_file():
         raise InputError(f"no MJCF file at {called}; check the path")
