@@ -96,8 +96,8 @@ def _read(config: PlanConfig, robot: Robot) -> Problem:
     if config.request is None:
         if not all(given):
             raise InputError("a query needs --start and --goal, or a --request of MoveIt's")
-        ends = (np.array(q) for q in (config.start, config.goal))
-        return Problem(*ends, read_scene(config.scene, robot))
+        start, goal = (np.array(q) for q in (config.start, config.goal))
+        return Problem(start, goal, read_scene(config.scene, robot))
     if any(given):
         raise InputError("--request has a start and a goal; leave --start and --goal out")
     if config.scene.suffix.lower() not in (".yaml", ".yml"):

@@ -15,7 +15,7 @@ CONSUMERS = {
     "problem file": "gnnjax.problems.file",
     "picture": "gnnjax.plot",
     "change of frame": "gnnjax.scene.pose",
-    "held object": "gnnjax.scene.holding",
+    "held object": "gnnjax.scene.held",
 }
 
 

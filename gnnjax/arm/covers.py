@@ -68,6 +68,22 @@ def chain_cover(part: Part) -> Cover:
     return Cover(centers, np.full(num, radius), np.full(num, part.radius))
 
 
+def pairs_of_rows(geom_parts: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Pairs `[S 2]` of the rows of a cover, of pairs of parts, in order.
+
+    Args:
+        geom_parts: `[G]` part of each row.
+        pairs: `[Q 2]` of parts.
+    """
+    of_part = [np.flatnonzero(geom_parts == number) for number in range(1 + geom_parts.max())]
+    rows = [
+        np.sort(np.stack(np.meshgrid(of_part[a], of_part[b]), axis=-1).reshape(-1, 2), axis=1)
+        for a, b in pairs.tolist()
+    ]
+    rows = np.concatenate([np.empty((0, 2), np.int64), *rows])
+    return rows[np.lexsort(rows.T[::-1])]
+
+
 def cover_file(path: Path) -> Path:
     """Where spheres are kept beside an arm's file."""
     return path.with_name(f"{path.stem}_cover.npz")

@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
-from gnnjax.arm.covers import cover_file, cover_parts
+from gnnjax.arm.covers import cover_file, cover_parts, pairs_of_rows
 from gnnjax.arm.joints import joint_name
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom, quat_to_matrix
@@ -273,22 +273,6 @@ def _robot_of(
         self_pairs=pairs_of_rows(rows.parts, pairs),
         notes=notes,
     )
-
-
-def pairs_of_rows(geom_parts: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Pairs `[S 2]` of the rows of a cover, of pairs of parts, in order.
-
-    Args:
-        geom_parts: `[G]` part of each row.
-        pairs: `[Q 2]` of parts.
-    """
-    of_part = [np.flatnonzero(geom_parts == number) for number in range(1 + geom_parts.max())]
-    rows = [
-        np.sort(np.stack(np.meshgrid(of_part[a], of_part[b]), axis=-1).reshape(-1, 2), axis=1)
-        for a, b in pairs.tolist()
-    ]
-    rows = np.concatenate([np.empty((0, 2), np.int64), *rows])
-    return rows[np.lexsort(rows.T[::-1])]
 
 
 def read_body(model: mujoco.MjModel, b: int) -> Body:

@@ -7,77 +7,22 @@ the arm knows it as well: kernels, certificate, distance field, MuJoCo worlds an
 import dataclasses
 import hashlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from gnnjax.arm.blocks import box_cover, cylinder_cover
 from gnnjax.arm.contacts import always_touching, exclude_bodies
-from gnnjax.arm.covers import OVERSHOOT, chain_cover
-from gnnjax.arm.fit import Cover
+from gnnjax.arm.covers import pairs_of_rows
 from gnnjax.arm.mjcf import self_pairs, without_warnings
-from gnnjax.arm.parts import Part, part_of_geom, quat_to_matrix
-from gnnjax.arm.robot import Robot, pairs_of_rows, read_body
+from gnnjax.arm.parts import part_of_geom
+from gnnjax.arm.robot import Robot, read_body
 from gnnjax.errors import InputError, brief
-from gnnjax.scene.pose import IDENTITY, Pose, compose
-from gnnjax.scene.scene import sums_from, unit_quats
+from gnnjax.scene.held import add_body, items_from, pose_from
 from gnnjax.scene.scene_file import read_json, shapes_of
-from gnnjax.scene.shapes import KINDS, Shape, for_every_kind
 
 _LOG = logging.getLogger(__name__)
-_ALL_BITS = -1  # of contype and conaffinity: it meets whatever bits the arm's author chose
-
-
-class _Kind(NamedTuple):
-    geom: mujoco.mjtGeom
-    volume: Callable[[np.ndarray], float]  # m^3, of MuJoCo's sizes [3]
-    cover: Callable[[np.ndarray, Part], Cover]  # in the shape's own frame
-
-
-def _in_frame(cover: Cover, pose: Pose) -> Cover:
-    return cover._replace(centers=cover.centers @ quat_to_matrix(pose.quat).T + pose.position)
-
-
-def _cover_of_cylinder(size: np.ndarray, part: Part) -> Cover:
-    around = float(np.linalg.norm(part.vertices[:, :2], axis=1).max())
-    return cylinder_cover(float(size[0]), float(size[1]), around, OVERSHOOT)
-
-
-_HELD = for_every_kind(
-    "held object",
-    box=_Kind(
-        mujoco.mjtGeom.mjGEOM_BOX,
-        lambda size: 8 * float(size.prod()),
-        lambda size, part: box_cover(size, OVERSHOOT),
-    ),
-    sphere=_Kind(
-        mujoco.mjtGeom.mjGEOM_SPHERE,
-        lambda size: 4 / 3 * np.pi * float(size[0]) ** 3,
-        lambda size, part: chain_cover(part),
-    ),
-    capsule=_Kind(
-        mujoco.mjtGeom.mjGEOM_CAPSULE,
-        lambda size: np.pi * float(size[0]) ** 2 * float(2 * size[1] + 4 / 3 * size[0]),
-        lambda size, part: chain_cover(part),
-    ),
-    cylinder=_Kind(
-        mujoco.mjtGeom.mjGEOM_CYLINDER,
-        lambda size: np.pi * float(size[0]) ** 2 * float(2 * size[1]),
-        _cover_of_cylinder,
-    ),
-    half_space=None,  # nobody holds one
-)
-
-
-class _Item(NamedTuple):
-    """One shape that is held."""
-
-    kind: str
-    pose: Pose  # in the frame of the body that holds it
-    size: np.ndarray  # [3] m, as MuJoCo has them
 
 
 def attach(
@@ -109,17 +54,16 @@ def attach(
         InputError: an unknown body, or one that no joint moves; no shapes, or one that cannot be
             held; a pose or mass that is none; the arm cannot move without touching what it holds.
     """
-    model = robot.mj_model
     holder = _holder(robot, body)
     _check_allowed(robot, allow)
-    items = _items(shapes, _pose(pose), body)
+    items = items_from(shapes, pose_from(pose), body)
     key = hashlib.sha256(repr((robot.name, body, mass, tuple(allow))).encode())
     for item in items:
         key.update(item.kind.encode() + b"".join(x.tobytes() for x in (*item.pose, item.size)))
     digest = key.hexdigest()[:8]
 
     spec = robot.mj_spec.copy()
-    names = _add_body(spec, body, f"held_{digest}", items, mass)
+    names = add_body(spec, body, f"held_{digest}", items, mass)
     with without_warnings():
         model = spec.compile()
     held = np.array([model.geom(name).id for name in names])
@@ -159,10 +103,7 @@ def attach(
         with without_warnings():
             model = spec.compile()
 
-    covers = [
-        _in_frame(_HELD[item.kind].cover(item.size, _local(part, item.pose)), item.pose)
-        for item, part in zip(items, new, strict=True)
-    ]
+    covers = [item.cover(part) for item, part in zip(items, new, strict=True)]
     geom_parts = np.concatenate(
         [
             robot.geom_parts,
@@ -233,86 +174,6 @@ def _check_allowed(robot: Robot, allow: Sequence[str]) -> None:
         raise InputError(f"no body {unknown[0]!r} in {robot.name} to allow; there are {names}")
 
 
-def _pose(pose: Sequence | None) -> Pose:
-    if pose is None:
-        return IDENTITY
-    try:
-        position, quat = (np.asarray(x, float) for x in pose)
-    except (TypeError, ValueError):
-        raise InputError(f"pose is {brief(pose)}; give a position and a quaternion") from None
-    good = position.shape == (3,) and quat.shape == (4,) and np.isfinite([*position, *quat]).all()
-    if not good or np.abs(quat).max() < 1e-3:
-        raise InputError(
-            f"pose is {brief(pose)}; give a position (3 numbers, m) and a quaternion (w x y z)"
-        )
-    return Pose(position, unit_quats(quat))
-
-
-def _items(shapes: Sequence, pose: Pose, body: str) -> list[_Item]:
-    """Shapes as MuJoCo has them, in the frame of the body."""
-    if isinstance(shapes, Shape) or not all(isinstance(x, Shape) for x in shapes):
-        raise InputError(f"shapes is {brief(shapes)}; give a list of box(...), sphere(...), ...")
-    if not shapes:
-        raise InputError(f"shapes is empty; name what {body} holds, or keep the arm as it is")
-    items = []
-    for kind in KINDS:
-        chosen = [x.values for x in shapes if x.kind == kind]
-        if not chosen:
-            continue
-        if _HELD[kind] is None:
-            raise InputError(f"{body} is to hold a {kind}, which has no end; give a box")
-        columns = {name: [values[name] for values in chosen] for name in chosen[0]}
-        for center, half_extents, quat, radii in zip(
-            *sums_from(kind, columns, f"what {body} holds"), strict=True
-        ):
-            radius = radii.sum()  # of disc and ball, one of which is zero
-            size = np.array([radius, half_extents[2], 0.0]) if radius > 0 else half_extents
-            items.append(_Item(kind, compose(pose, Pose(center, quat)), size))
-    return items
-
-
-def _add_body(
-    spec: mujoco.MjSpec, holder: str, name: str, items: list[_Item], mass: float | None
-) -> list[str]:
-    """Adds to a spec a body of what is held; returns the names of its geoms."""
-    if mass is not None and not 0 < mass < np.inf:
-        raise InputError(f"mass is {mass}; it must be positive (kg), or left out")
-    used = {geom.name for geom in spec.geoms}
-    body = spec.body(holder).add_body(name=name)
-    # By itself, as the compiler of the arm's file may not take masses from geoms.
-    alone = mujoco.MjSpec()
-    weighed = alone.worldbody.add_body()
-    volumes = [_HELD[item.kind].volume(item.size) for item in items]
-    names = []
-    for item, volume in zip(items, volumes, strict=True):
-        number = 0
-        while f"held_{item.kind}_{number}" in used:
-            number += 1
-        names.append(f"held_{item.kind}_{number}")
-        used.add(names[-1])
-        same = {
-            "type": _HELD[item.kind].geom,
-            "pos": item.pose.position,
-            "quat": item.pose.quat,
-            "size": item.size,
-        }
-        body.add_geom(
-            name=names[-1],
-            mass=0.0,
-            contype=_ALL_BITS,
-            conaffinity=_ALL_BITS,
-            rgba=[0.35, 0.6, 0.4, 1.0],
-            **same,
-        )
-        weighed.add_geom(mass=(mass or 0.0) * volume / sum(volumes), **same)
-    if mass is not None:
-        model = alone.compile()
-        body.explicitinertial = True
-        body.mass, body.ipos = model.body_mass[1], model.body_ipos[1]
-        body.iquat, body.inertia = model.body_iquat[1], model.body_inertia[1]
-    return names
-
-
 def _pair_explicitly(
     spec: mujoco.MjSpec, model: mujoco.MjModel, geoms: np.ndarray, wanted: np.ndarray
 ) -> bool:
@@ -327,8 +188,3 @@ def _pair_explicitly(
         first, second = (by_id[int(geoms[x])].name for x in two)
         spec.add_pair(geomname1=first, geomname2=second)
     return bool(missing)
-
-
-def _local(part: Part, pose: Pose) -> Part:
-    """A part of the body that is held, as the shape's own frame sees it."""
-    return part._replace(vertices=(part.vertices - pose.position) @ quat_to_matrix(pose.quat))
