@@ -82,9 +82,9 @@ def grow(
     ]
     draws = np.random.default_rng([seed, 2]).random((rounds, _BRANCHES, robot.num_dof))
     # An end may lie in another turn of a joint.
-    ends = np.stack([progress.problems.start, progress.problems.goal])[:, ids].astype(np.float32)
-    lower = np.minimum(robot.drawn_lower, ends.min(axis=0))
-    span = np.maximum(robot.drawn_upper, ends.max(axis=0)) - lower
+    of_each = np.stack([progress.problems.start, progress.problems.goal])[:, ids].astype(np.float32)
+    lower = np.minimum(robot.drawn_lower, of_each.min(axis=0))
+    span = np.maximum(robot.drawn_upper, of_each.max(axis=0)) - lower
     for number, goals in enumerate(draws):
         still = progress.open(time_limit)
         rows = np.flatnonzero(still[ids])
