@@ -263,7 +263,7 @@ def test_everything_is_compiled_beforehand(robot, scenes):
 
     tester = SequenceTester(robot, checker._replace(check_each=check_each), EDGE_RESOLUTION)
     tester.warm_up(tester.place(scenes), 3)
-    assert traced == [(8, 8, 3), (64, 8, 3)]
+    assert traced == [(8, 8, 3), (32, 8, 3)]
     assert tester.computed == 0
     rng = np.random.default_rng(6)
     for num in (1, 5, 30):

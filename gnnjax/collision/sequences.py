@@ -20,7 +20,7 @@ from gnnjax.collision.spheres import BLOCKED, ITSELF, OBSTACLE_BITS
 from gnnjax.scene.scene import Scene
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
-_BLOCKS = (64, 512, 4096)
+_BLOCKS = (64, 256, 2048)
 _TILE = 8  # of them share a scene: as many as fit into the machine's vectors
 _OPEN_BLOCKS = (32, 256)  # of those that the first level leaves open
 _EARLY = 2  # of these, in a sequence: most of them are blocked

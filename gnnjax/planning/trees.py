@@ -11,7 +11,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.sequences import Items, PlacedScenes, SequenceTester
 from gnnjax.planning.progress import Progress
 
-MOST_ROUNDS = 200  # at effort 1
+MOST_ROUNDS = 400  # at effort 1
 _BRANCHES = 8  # of a tree in a round, and as many of the other towards their tips
 _STEP = 0.5  # configuration units of a branch's edges
 _LONGEST = 2, 16  # edges of a branch, of the first tree and the other
