@@ -6,6 +6,7 @@ python examples/own_world.py
 from pathlib import Path
 from tempfile import mkdtemp
 
+import jax
 import numpy as np
 
 import gnnjax
@@ -57,5 +58,5 @@ scenes = {
 }
 for name, scene in scenes.items():
     print(f"{name}: {int(scene.mask.sum())} obstacles")
-    for mine, theirs in zip(scene, scenes["Python"], strict=True):
+    for mine, theirs in zip(*map(jax.tree.leaves, (scene, scenes["Python"])), strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-6)

@@ -27,6 +27,7 @@ from gnnjax.roadmap.graph import Roadmap, connect, default_radius
 from gnnjax.roadmap.paths import cost_to_go, edge_validity
 from gnnjax.roadmap.sampled import Samples, sample_free, sample_roadmap
 from gnnjax.roadmap.stored import stored_roadmap
+from gnnjax.scene.cloud import Balls, Cloud, point_cloud
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.moveit import scene_from_moveit
 from gnnjax.scene.scene import (
@@ -35,16 +36,27 @@ from gnnjax.scene.scene import (
     pad_scene,
     sample_scene,
     scene_from_shapes,
+    stack_scenes,
 )
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import Shape, box, capsule, cylinder, half_space, sphere
+from gnnjax.scene.surfaces import (
+    height_field,
+    mesh,
+    points_from_file,
+    scene_from_height_field,
+    scene_from_mesh,
+    scene_from_points,
+)
 from gnnjax.search.greedy import Scorer, greedy_search
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search
 from gnnjax.training.weights import load_network, save_network
 
 __all__ = [
+    "Balls",
     "Checker",
+    "Cloud",
     "EdgeChecks",
     "FamilyProblem",
     "Guide",
@@ -79,6 +91,7 @@ __all__ = [
     "forward_kinematics",
     "greedy_search",
     "half_space",
+    "height_field",
     "label_roadmap",
     "lazy_search",
     "load_network",
@@ -88,8 +101,11 @@ __all__ = [
     "make_checker",
     "make_planner",
     "make_scene",
+    "mesh",
     "motion_guide",
     "pad_scene",
+    "point_cloud",
+    "points_from_file",
     "problem_from_moveit",
     "sample_family_problem",
     "sample_free",
@@ -98,11 +114,15 @@ __all__ = [
     "sample_scene",
     "save_network",
     "save_problems",
+    "scene_from_height_field",
     "scene_from_json",
+    "scene_from_mesh",
     "scene_from_mjcf",
     "scene_from_moveit",
+    "scene_from_points",
     "scene_from_shapes",
     "scene_to_json",
     "sphere",
+    "stack_scenes",
     "stored_roadmap",
 ]

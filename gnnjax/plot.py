@@ -17,6 +17,7 @@ from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.scene import Scene, rotation_matrices
 from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
 
+_MOST_POINTS = 5000  # of a cloud that are drawn
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
@@ -165,6 +166,10 @@ _DRAW = for_every_kind(
 
 
 def _draw_obstacles(axes, scene: Scene) -> None:
+    if scene.cloud is not None:
+        points = np.asarray(scene.cloud.points)[: int(scene.cloud.num)]
+        points = points[:: -(-len(points) // _MOST_POINTS) or 1]
+        axes.scatter(*points.T, s=1, color="0.45", alpha=0.6, linewidth=0)
     rotations = np.asarray(rotation_matrices(jnp.asarray(scene.quats)))
     kinds = kind_of(scene.half_extents, scene.radii)
     for i in np.flatnonzero(np.asarray(scene.mask)):

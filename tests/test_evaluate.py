@@ -21,7 +21,6 @@ from gnnjax.planning.planner import GuidedPlanner, make_planner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.shards import load_problems
-from gnnjax.scene.scene import Scene
 
 pytestmark = pytest.mark.usefixtures("evaluate_with_one_planner")
 
@@ -42,7 +41,7 @@ def problems(tiny_path, tmp_path_factory):
         )
     )
     drawn = load_problems(folder / "good.npz", robot)
-    scene = Scene(*(x.copy() for x in drawn.problems.scene))
+    scene = jax.tree.map(np.copy, drawn.problems.scene)
     start, goal = drawn.problems.start.copy(), drawn.problems.goal.copy()
     goal[2] = [0.0, 0.0, 0.0]
     scene.centers[2, 0], scene.half_extents[2, 0] = [0.5, 0.0, 0.0], [0.1, 0.1, 0.1]

@@ -21,7 +21,7 @@ from gnnjax.guide.field import (
 )
 from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.field import Grid, cell_of, distance_field, make_grid
-from gnnjax.scene.scene import Scene, make_scene
+from gnnjax.scene.scene import make_scene
 from tests.fine_scan import random_scene
 
 GRID = Grid((-0.5, -0.4, 0.1), 0.1, (10, 7, 5))
@@ -330,7 +330,7 @@ def test_free_edges_are_ranked_above_blocked_ones(robot, guide, stored, read, ta
     first, slot = np.nonzero(np.asarray(stored.neighbor_mask) & (own < neighbors))
     check_nodes = jax.jit(make_checker(robot).check_configurations)
     rng = np.random.default_rng(8)
-    scenes = [Scene(*map(np.asarray, random_scene(rng, 9))) for _ in range(3)]
+    scenes = [jax.tree.map(np.asarray, random_scene(rng, 9)) for _ in range(3)]
     found = prices[0](guide.weights, jnp.stack([read(scene) for scene in scenes]), table)
     for scene, price in zip(scenes, np.asarray(found), strict=True):
         node = np.asarray(check_nodes(scene, nodes))

@@ -1,6 +1,8 @@
 """Every consumer of obstacles has an entry for every kind, or cannot be imported."""
 
 import importlib
+import re
+from pathlib import Path
 
 import pytest
 
@@ -30,6 +32,25 @@ def test_every_consumer_has_all_kinds_and_could_not_do_without_one(consumer, mod
     with pytest.raises(TypeError, match=f"the {consumer} has no entry for .* kinds \\['cone'\\]"):
         spec.loader.exec_module(again)
     assert loaded is importlib.import_module(module)
+
+
+# What reads the sizes of obstacles and knows no clouds, as another module adds them.
+_WITHOUT_CLOUDS = {
+    "collision/mjx.py",  # `collision/cloud.py` adds them to every backend's tests
+    "collision/spheres.py",
+    "problems/family_problem.py",  # draws scenes that have none
+}
+
+
+def test_whoever_reads_shapes_of_scenes_reads_their_clouds():
+    package = Path(shapes.__file__).parents[1]
+    reads = re.compile(r"scenes?\.(half_extents|radii)\b")
+    found = {
+        str(file.relative_to(package))
+        for file in package.rglob("*.py")
+        if reads.search(text := file.read_text()) and not re.search(r"\bclouds?\b", text)
+    }
+    assert found == _WITHOUT_CLOUDS
 
 
 def test_there_are_no_other_tables():

@@ -255,9 +255,11 @@ def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
     """Whether the arm's base is clear of each box, `[M]`, or `[P, M]` in P scenes.
 
     The base is what no joint moves, which certificates and clearances leave out. True where no box
-    is. Capsules count as chains of spheres here, too.
+    is. Capsules count as chains of spheres here, too. One more tells of the cloud, where scenes
+    have one.
     """
-    return clear_of_base(spheres_of(robot), obstacles_of(scene)).T.reshape(np.shape(scene.mask))
+    clear = clear_of_base(spheres_of(robot), obstacles_of(scene)).T
+    return clear.reshape(*np.shape(scene.mask)[:-1], clear.shape[1])
 
 
 def check_scene(scene: Scene) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
+from gnnjax.collision.cloud import with_clouds
 from gnnjax.collision.fused import Levels, fused_functions
 from gnnjax.collision.spheres import BLOCKED
 from gnnjax.errors import InputError
@@ -88,6 +89,7 @@ def make_checker(
         functions = mjx_functions(robot)
     else:
         raise InputError(f"no collision backend {backend!r}; there are 'fused' and 'mjx'")
+    functions = with_clouds(robot, functions)
     lower, upper = robot.joint_lower, robot.joint_upper
 
     def inside_limits(nodes: jax.Array) -> jax.Array:

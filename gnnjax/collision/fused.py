@@ -25,6 +25,7 @@ from gnnjax.collision.spheres import (
     place,
     sphere_centers,
 )
+from gnnjax.scene.cloud import lookup, squared_distance_to
 from gnnjax.scene.geometry import squared_distance
 from gnnjax.scene.scene import Scene, rotation_matrices
 
@@ -36,6 +37,8 @@ def boxes_clear(
 ) -> Bool[Array, " M"]:
     """Tells for every obstacle of a scene whether the arm is clear of it; true on padding.
 
+    One more tells of the scene's cloud, if it has one.
+
     Args:
         robot: the arm.
         scene: M obstacles.
@@ -45,7 +48,7 @@ def boxes_clear(
     moved = moved_by_joint(robot)
     chosen = [g for g in range(len(moved)) if not (base_only and moved[g])]
     if not chosen:
-        return jnp.ones(scene.mask.shape, bool)
+        return jnp.ones(len(scene.mask) + (scene.cloud is not None), bool)
     points = sphere_centers(robot, joint_terms(robot, q))
 
     where = [
@@ -60,7 +63,12 @@ def boxes_clear(
     disc, ball = scene.radii.T
     squared = squared_distance(offset, list(scene.half_extents.T), disc)
     reach = jnp.asarray(robot.geom_radii[chosen], q.dtype)[:, None] + ball
-    return jnp.all(squared > reach**2, axis=0) | ~scene.mask
+    found = jnp.all(squared > reach**2, axis=0) | ~scene.mask
+    if scene.cloud is None:
+        return found
+    squared = squared_distance_to(lookup(scene.cloud), [x[:, 0] for x in where])
+    reach = jnp.asarray(robot.geom_radii[chosen], q.dtype) + scene.cloud.radius
+    return jnp.append(found, jnp.all(squared > reach**2))
 
 
 class Levels(NamedTuple):

@@ -52,10 +52,12 @@ def gaps_of(body: Spheres, obstacles: Obstacles, at: Moments, rates: Rates) -> G
     """
     frames = _frames(body, at.q)
     middles = _place(frames, body.middles[:, :, None])  # [3 L B]
-    found = (
+    found = [
         _gaps_to(body, obstacles, at, rates, frames, middles),
         _gaps_within(body, at, rates, frames, middles),
-    )
+    ]
+    if obstacles.has_clouds:
+        found.append(_gaps_to_clouds(body, obstacles, at, rates, frames, middles))
     return Gaps(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
@@ -99,6 +101,29 @@ def _gaps_to(
     of_part = _pick(rates.parts, part, at.motion[moment]) * at.share[moment] + _ROUNDING
     key = (moment * len(body.part_reach) + part) * len(obstacles.exists) + thing
     return _looked_at_closely(moment, gap, motion, most, of_part, key, ask)
+
+
+def _gaps_to_clouds(
+    body: Spheres,
+    obstacles: Obstacles,
+    at: Moments,
+    rates: Rates,
+    frames: np.ndarray,
+    middles: np.ndarray,
+) -> Gaps:
+    """Of spheres alone, as the planning kernels see clouds: no part is looked at."""
+    reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
+    link, moment = np.indices((len(body.moving), len(at.scene))).reshape(2, -1)
+    link = body.moving[link]
+    apart = obstacles.cloud_distances(_pick(middles, link, moment), at.scene[moment])
+    near = ~(apart > _pick(reach, link, moment))
+    link, moment = link[near], moment[near]
+    row, sphere = members(body.first[link], body.count[link])
+    link, moment = link[row], moment[row]
+    points = _place(_pick(frames, link, moment), body.centers[:, sphere])
+    gap = obstacles.cloud_distances(points, at.scene[moment]) - body.radii[sphere]
+    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+    return Gaps(moment, gap, motion, ~(gap > 0))
 
 
 def _gaps_within(
@@ -173,11 +198,19 @@ def _looked_at_closely(
 
 
 def clear_of_base(body: Spheres, obstacles: Obstacles) -> np.ndarray:
-    """Whether obstacles are clear of the links that no joint moves, `[M P]`."""
+    """Whether obstacles are clear of the links that no joint moves, `[M P]`, or `[M+1 P]` with
+    clouds, which come last."""
     points, radii = _base(body)
     sphere, thing, scene = np.indices((len(radii), *obstacles.exists.shape)).reshape(3, -1)
     gap = obstacles.distances(points[:, sphere], thing, scene) - radii[sphere]
-    return (gap > 0).reshape(len(radii), *obstacles.exists.shape).all(axis=0) | ~obstacles.exists
+    clear = np.all((gap > 0).reshape(len(radii), *obstacles.exists.shape), axis=0)
+    clear = clear | ~obstacles.exists
+    if not obstacles.has_clouds:
+        return clear
+    sphere, scene = np.indices((len(radii), obstacles.exists.shape[1])).reshape(2, -1)
+    gap = obstacles.cloud_distances(points[:, sphere], scene) - radii[sphere]
+    of_clouds = np.all((gap > 0).reshape(len(radii), -1), axis=0, keepdims=True)
+    return np.concatenate([clear, of_clouds])
 
 
 @functools.cache

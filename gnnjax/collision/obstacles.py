@@ -5,7 +5,10 @@ checked before. Arrays have their components first and what they are computed fo
 then of whole rows, and what is found for one point does not depend on its neighbours.
 """
 
+import functools
+
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
@@ -20,6 +23,7 @@ class Obstacles:
     exists: np.ndarray  # [M P]
     centers: np.ndarray  # [3 M P] m; any obstacle lies in the ball of its radius about its center
     radii: np.ndarray  # [M P] m
+    has_clouds: bool
 
     def __init__(self, scenes: Scene):
         mask, centers, half_extents, quats, radii = _arrays(scenes)
@@ -39,6 +43,22 @@ class Obstacles:
         ]
         rows = [*self.centers, *sizes, *axes[0], *axes[1], *axes[2], disc, ball]
         self._table = np.stack(rows).reshape(17, -1)
+        self.has_clouds = scenes.cloud is not None
+        if self.has_clouds:
+            points, num, self._cloud_radii = _clouds(scenes)
+            self._clouds = [own[:count].tobytes() for own, count in zip(points, num, strict=True)]
+            self._dtype = points.dtype.str
+
+    def cloud_distances(self, points: np.ndarray, scene: np.ndarray) -> np.ndarray:
+        """Distances [m] of points `[3, N]`, each to the balls of its scene's cloud, `[N]`; infinite
+        where it has none. Found among the points themselves, whatever the kernels' grids say."""
+        found = np.full(len(scene), np.inf)
+        for number in np.unique(scene):
+            if self._clouds[number]:
+                rows = np.flatnonzero(scene == number)
+                away, _ = _tree(self._clouds[number], self._dtype).query(points[:, rows].T)
+                found[rows] = away - self._cloud_radii[number]
+        return found
 
     def distances(self, points: np.ndarray, number: np.ndarray, scene: np.ndarray) -> np.ndarray:
         """Distances [m] of points `[3, N]`, each to one obstacle of its scene, `[N]`.
@@ -62,6 +82,13 @@ class Obstacles:
         `[N]` of discs and balls."""
         table = self._table.take(number * self.exists.shape[1] + scene, axis=1)
         return table[:3], table[6:15].reshape(3, 3, -1), table[3:6], table[15], table[16]
+
+
+@functools.lru_cache(maxsize=64)
+def _tree(points: bytes, dtype: str) -> cKDTree:
+    """A tree of points `[K, 3]`, which a path's certificates share with those to come."""
+    own = np.frombuffer(points, dtype).reshape(-1, 3)
+    return cKDTree(own, balanced_tree=False, compact_nodes=False)
 
 
 def obstacles_of(scenes: Scene) -> Obstacles:
@@ -106,6 +133,40 @@ def scene_faults(scenes: Scene) -> list[str | None]:
                 f"{values[i, which].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
                 "make scenes with make_scene or scene_from_shapes"
             )
+    if scenes.cloud is not None:
+        for i, fault in enumerate(_cloud_faults(*_clouds(scenes))):
+            faults[i] = faults[i] or fault
+    return faults
+
+
+def _clouds(scenes: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points `[P, K, 3]`, their numbers and radii `[P]`; P = 1 for one scene."""
+    assert scenes.cloud is not None
+    batch = np.shape(scenes.mask)[:-1]
+    points = np.asarray(scenes.cloud.points)
+    num, radius = np.asarray(scenes.cloud.num), np.asarray(scenes.cloud.radius, float)
+    good = points.shape[:-2] == num.shape == radius.shape == batch and points.shape[-1:] == (3,)
+    if not good or num.dtype.kind not in "iu":
+        raise InputError(
+            f"points, number and radius of the scene's cloud have shapes {points.shape}, "
+            f"{num.shape} and {radius.shape}, and the mask {np.shape(scenes.mask)}; make scenes "
+            "with scene_from_shapes"
+        )
+    return (points, num, radius) if batch else (points[None], num[None], radius[None])
+
+
+def _cloud_faults(points: np.ndarray, num: np.ndarray, radius: np.ndarray) -> list[str | None]:
+    """What is wrong with each of P clouds."""
+    faults: list[str | None] = []
+    for own, count, size in zip(points, num, radius, strict=True):
+        fault = None
+        if not 0 <= count <= len(own):
+            fault = f"has {count} points, of which {len(own)} are there"
+        elif not (np.abs(own[:count]) <= _MOST_METERS).all():
+            fault = f"has points that are not finite, or beyond {_MOST_METERS:g} m"
+        elif count and not 0 < size <= _MOST_METERS:
+            fault = f"has the radius {size:g} m, which must be positive"
+        faults.append(fault and f"the cloud of the scene {fault}; use scene_from_points")
     return faults
 
 

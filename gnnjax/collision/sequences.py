@@ -17,7 +17,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import Checker, bisection_order, most_intervals
 from gnnjax.collision.exact import PartTests
 from gnnjax.collision.spheres import BLOCKED, ITSELF, OBSTACLE_BITS
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import Scene, without_points
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
 _BLOCKS = (64, 256, 2048)
@@ -79,7 +79,7 @@ class SequenceTester:
         while room < num:
             room *= 16
         rows = np.minimum(np.arange(room), num - 1)
-        padded = jax.tree.map(lambda x: np.asarray(x)[rows], scenes)
+        padded = jax.tree.map(lambda x: np.asarray(x)[rows], without_points(scenes))
         many = room * _FIRST_STRETCH > _BLOCKS[1]
         return PlacedScenes(self._place(padded), scenes.mask.shape[1], many)
 

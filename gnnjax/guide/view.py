@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from gnnjax.arm.kinematics import body_frames, dot, joint_terms, subtract, transform
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.spheres import moved_by_joint
+from gnnjax.scene.cloud import distances_to
 from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.scene import Scene, rotation_matrices
 
@@ -76,6 +77,12 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
 
         far = jnp.full(q.shape[:1], _NOTHING_NEAR, q.dtype)
         found = jax.lax.fori_loop(0, scene.mask.sum(), nearer, [far] * len(points))
+        if scene.cloud is not None:
+            frames = body_frames(robot, joints)
+            for i, (g, center) in enumerate(zip(points, centers, strict=True)):
+                position, rotation = frames[robot.geom_bodies[g]]
+                away = distances_to(scene.cloud, transform(position, rotation, center))
+                found[i] = jnp.where(away < found[i], away, found[i])
         return jnp.stack(found, axis=-1)
 
     return distances

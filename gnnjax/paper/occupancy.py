@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Bool, Float
 
+from gnnjax.scene.cloud import distances_to
 from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.scene import Scene
 
@@ -53,7 +54,11 @@ def _inside(
     thin = jnp.where(disc > 0, jnp.minimum(disc, scene.half_extents[:, 2]), ball)
     widened = jnp.where(is_box, 0.0, jnp.maximum(3**0.5 * least - thin, 0.0))
     away = signed_distance(list(jnp.moveaxis(local, -1, 0)), list(sizes.T), disc, ball)
-    return jnp.any((away <= widened) & scene.mask, axis=-1)
+    occupied = jnp.any((away <= widened) & scene.mask, axis=-1)
+    if scene.cloud is None:
+        return occupied
+    # A voxel's corner is that far from its center.
+    return occupied | (distances_to(scene.cloud, list(points[:, 0].T)) <= 3**0.5 * least)
 
 
 class HalvingConv(nnx.Module):

@@ -25,6 +25,7 @@ from gnnjax.planning.shortcuts import cut_short
 from gnnjax.planning.shortening import Shortener
 from gnnjax.planning.trees import grow
 from gnnjax.problems.problem import Problem
+from gnnjax.scene.scene import without_points
 from gnnjax.search.knowledge import INVALID, Knowledge
 from gnnjax.search.rounds import Route
 
@@ -225,7 +226,8 @@ class Run(Progress):
     ) -> None:
         for part, padded in in_chunks(np.arange(len(entering)), self.chunk):
             chosen, padded = entering[part], entering[padded]
-            problems = jax.tree.map(lambda x, at=ids[padded]: x[at], self.problems)
+            seen = self.problems._replace(scene=without_points(self.problems.scene))
+            problems = jax.tree.map(lambda x, at=ids[padded]: x[at], seen)
             entered = self.strategy.enter(
                 self.clock,
                 problems,

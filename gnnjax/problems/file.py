@@ -9,7 +9,8 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write, read_arrays
 from gnnjax.problems.problem import Problem, ProblemSet
-from gnnjax.scene.scene import MOST_METERS, Scene, box_bucket, pad_scene, unit_quats
+from gnnjax.scene.cloud import MOST_METERS, Balls, make_cloud
+from gnnjax.scene.scene import Scene, box_bucket, pad_scene, same_clouds, unit_quats
 from gnnjax.scene.shapes import (
     FIELDS,
     KINDS,
@@ -33,6 +34,7 @@ _ARRAYS = for_every_kind(
     cylinder=_ROUND,
     half_space=("points", "normals"),
 )
+_CLOUD = ("cloud_points", "cloud_radii", "num_cloud_points")  # [P K 3] m, [P] m, [P]
 _NUMBERS = {kind: f"num_{PLURALS[kind]}" for kind in KINDS}
 
 
@@ -101,6 +103,10 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
             flat = values[..., 0] if FIELDS[kind][name] == 1 else values
             arrays[_arrays_of(kind)[name]] = flat.astype(np.float32)
         arrays[_NUMBERS[kind]] = chosen.sum(axis=1).astype(np.int32)
+    if scene.cloud is not None:
+        # Their grids are made again when they are read.
+        held = scene.cloud.points, scene.cloud.radius, scene.cloud.num
+        arrays |= dict(zip(_CLOUD, held, strict=True))
 
     def write(file: Path) -> None:
         with open(file, "wb") as stream:
@@ -121,7 +127,7 @@ def load_file(path: Path, robot: Robot) -> ProblemSet:
             f"name that robot, or use problems of {robot.name}"
         )
     present = [kind for kind in KINDS if _names_of(kind) & arrays.keys()]
-    known = {*_NAMES, *(name for kind in present for name in _names_of(kind))}
+    known = {*_NAMES, *_CLOUD, *(name for kind in present for name in _names_of(kind))}
     extras = {name: value for name, value in arrays.items() if name not in known}
     _check_further(f"problem file {str(path)!r}", extras)
     num = len(np.atleast_1d(arrays["start"]))
@@ -137,8 +143,10 @@ def load_file(path: Path, robot: Robot) -> ProblemSet:
     order = np.argsort(~mask, axis=1, kind="stable")
     most = int(mask.sum(axis=1).max())
     parts = [np.take_along_axis(x, order[..., None], axis=1)[:, :most] for x in joined[:4]]
-    scene = Scene._make([*parts, np.take_along_axis(mask, order, axis=1)[:, :most]])
+    scene = Scene._make([*parts, np.take_along_axis(mask, order, axis=1)[:, :most], None])
     scene = pad_scene(scene, box_bucket(most, f"problem file {str(path)!r}"))
+    if arrays.keys() & set(_CLOUD):
+        scene = _with_clouds(path, arrays, scene)
     return ProblemSet(robot.name, Problem(start, goal, scene), extras)
 
 
@@ -184,6 +192,35 @@ def _obstacles(path: Path, kind: str, arrays: dict[str, np.ndarray], num: int) -
         array = np.where(mask[..., None], array, blank)
         values[name] = unit_quats(array) if name in ("quat", "normal") else array
     return [*(x.astype(np.float32) for x in sums_of(kind, values)), mask]
+
+
+def _with_clouds(path: Path, arrays: dict[str, np.ndarray], scene: Scene) -> Scene:
+    """Scenes `[P, M, ...]` with the clouds of a file."""
+    if missing := sorted(set(_CLOUD) - arrays.keys()):
+        raise InputError(f"problem file {str(path)!r} lacks {missing}; its clouds need {_CLOUD}")
+    points, radii, counts = (arrays[name] for name in _CLOUD)
+    num, most = len(scene.mask), points.shape[1] if points.ndim == 3 else 0
+    _check_array(path, _CLOUD[0], points, (num, most, 3))
+    _check_array(path, _CLOUD[1], radii, (num,))
+    _check_array(path, _CLOUD[2], counts, (num,), "iu")
+    if not (counts.min() >= 0 and counts.max() <= most):
+        raise InputError(
+            f"{_CLOUD[2]} of problem file {str(path)!r} goes from {counts.min()} to "
+            f"{counts.max()}; the file has room for 0 to {most} points"
+        )
+    exists = np.arange(most) < counts[:, None]
+    points = _finite(path, _CLOUD[0], points, exists, "point")
+    too_far = f"must be below {MOST_METERS:g} m"
+    _refuse(path, _CLOUD[0], points, np.abs(points) > MOST_METERS, exists, too_far, "point")
+    sizes = _finite(path, _CLOUD[1], radii[:, None], counts > 0)
+    _refuse(path, _CLOUD[1], sizes, ~(sizes > 0), counts > 0, "must be positive", "")
+    # One after the other: each has a grid of its own.
+    single = []
+    for i, count in enumerate(counts.tolist()):
+        balls = [Balls(points[i, :count], float(sizes[i, 0]))] if count else []
+        cloud = make_cloud(balls, f"problem {i} of {str(path)!r}") if balls else None
+        single.append(jax.tree.map(lambda x, i=i: x[i], scene)._replace(cloud=cloud))
+    return jax.tree.map(lambda *x: np.stack(x), *same_clouds(single))
 
 
 def _check_further(source: str, extras: dict[str, np.ndarray]) -> None:

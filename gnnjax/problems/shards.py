@@ -15,7 +15,7 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
 from gnnjax.problems.file import load_file, save_problems
 from gnnjax.problems.problem import ProblemSet
-from gnnjax.scene.scene import pad_scene
+from gnnjax.scene.scene import pad_scene, same_clouds
 
 MANIFEST = "manifest.json"  # of a folder of shards
 
@@ -163,7 +163,8 @@ def _load_shards(folder: Path, robot: Robot) -> ProblemSet:
                 f"{sorted(sets[0].extras)}; generate the set again"
             )
     size = max(s.problems.scene.mask.shape[1] for s in sets)
-    problems = [s.problems._replace(scene=pad_scene(s.problems.scene, size)) for s in sets]
+    scenes = same_clouds([pad_scene(s.problems.scene, size) for s in sets])
+    problems = [s.problems._replace(scene=x) for s, x in zip(sets, scenes, strict=True)]
     extras = {
         name: np.concatenate([s.extras[name] for s in sets])
         if all(s.extras[name].shape[:1] == (len(s),) for s in sets)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from gnnjax.arm.kinematics import Vector
+from gnnjax.scene.cloud import distances_to
 from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 
@@ -57,7 +58,7 @@ def cell_of(grid: Grid, point: Vector) -> Int[Array, "..."]:
 
 def distance_field(grid: Grid) -> Callable[[Scene], Float[Array, " V"]]:
     """Makes the function `scene -> [V]`: signed distances [m] of the cells' centres to the nearest
-    obstacle, negative inside of it.
+    obstacle, negative inside of it; no more than that to a cloud.
     """
     sides = [
         jnp.asarray(low + (np.arange(size) + 0.5) * grid.cell, jnp.float32)
@@ -74,7 +75,10 @@ def distance_field(grid: Grid) -> Callable[[Scene], Float[Array, " V"]]:
             away = signed_distance(seen, list(scene.half_extents[i]), *scene.radii[i])
             return jnp.where(scene.mask[i] & (away < nearest), away, nearest)
 
-        far = jnp.full(grid.shape, _FAR, jnp.float32)
-        return jax.lax.fori_loop(0, last_box(scene.mask), nearer, far).ravel()
+        nearest = jnp.full(grid.shape, _FAR, jnp.float32)
+        if scene.cloud is not None:
+            away = distances_to(scene.cloud, [x, y, z])
+            nearest = jnp.where(away < nearest, away, nearest)
+        return jax.lax.fori_loop(0, last_box(scene.mask), nearer, nearest).ravel()
 
     return field

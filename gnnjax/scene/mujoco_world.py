@@ -3,10 +3,15 @@
 import functools
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
+from scipy.spatial import cKDTree
 
+from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError
+from gnnjax.scene.cloud import Cloud
 from gnnjax.scene.scene import Scene, obstacle_name
 from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
 
@@ -36,11 +41,20 @@ class Obstacles(NamedTuple):
     mocaps: np.ndarray  # [M] rows of `mocap_pos`
 
 
-def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
+_CLOUD = "cloud of points"  # the body that holds it
+_OBSTACLE = {"contype": _ALL_BITS, "conaffinity": _ALL_BITS, "rgba": [0.75, 0.55, 0.35, 1.0]}
+
+
+def build_world(robot: Robot, max_boxes: int, cloud: Cloud | None = None) -> mujoco.MjModel:
     """Compiles the arm with `max_boxes` movable obstacles, which `obstacles` finds.
 
     Each is a mocap body of its own. A geom that sits in the worldbody and is moved after
     compilation would keep the bounding volume of its old place, and the C engine would miss it.
+
+    Args:
+        robot: the arm.
+        max_boxes: M.
+        cloud: of the scene; a sphere for each of its points, none of which can be moved.
     """
     spec = robot.mj_spec.copy()
     spec.option.disableflags &= ~_HIDING
@@ -50,6 +64,8 @@ def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
         prefix = f"_{prefix}"
     ignored = _static_bodies(spec, prefix)
     paired = _paired_alone(robot)
+    if cloud is not None:
+        _add_cloud(spec, cloud, ignored, paired)
     for i in range(max_boxes):
         body = spec.worldbody.add_body(name=f"{prefix}{i}", mocap=True, pos=[FAR_AWAY, 0, i])
         # All bits: an obstacle meets whatever collision group a robot's author chose.
@@ -57,9 +73,7 @@ def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
             name=f"{prefix}{i}",
             type=mujoco.mjtGeom.mjGEOM_BOX,  # until an obstacle takes its place
             size=[0.1, 0.1, 0.1],
-            contype=_ALL_BITS,
-            conaffinity=_ALL_BITS,
-            rgba=[0.75, 0.55, 0.35, 1.0],
+            **_OBSTACLE,
         )
         # MuJoCo pairs a mocap body with static bodies; that says nothing about a configuration.
         for name in ignored:
@@ -68,6 +82,25 @@ def build_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
         for name in paired:
             spec.add_pair(geomname1=name, geomname2=body.name)
     return spec.compile()
+
+
+def _add_cloud(spec: mujoco.MjSpec, cloud: Cloud, ignored: list[str], paired: list[str]) -> None:
+    # Mocap, since what is welded to the world does not meet what else is.
+    body = spec.worldbody.add_body(name=_CLOUD, mocap=True)
+    radius = float(cloud.radius)
+    for i, point in enumerate(np.asarray(cloud.points[: int(cloud.num)], float)):
+        geom = body.add_geom(
+            name=f"{_CLOUD} {i}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            pos=point,
+            size=[radius, 0, 0],
+            **_OBSTACLE,
+        )
+        for name in paired:
+            spec.add_pair(geomname1=name, geomname2=geom.name)
+    for name in ignored:
+        spec.add_exclude(bodyname1=name, bodyname2=_CLOUD)
+    ignored.append(_CLOUD)
 
 
 def obstacles(model: mujoco.MjModel, max_boxes: int) -> Obstacles:
@@ -100,8 +133,20 @@ def _paired_alone(robot: Robot) -> list[str]:
 
 
 def place_boxes(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
-    """Gives the obstacles of a world a scene's kinds, places and sizes, in place."""
+    """Gives the obstacles of a world a scene's kinds, places and sizes, in place.
+
+    Raises:
+        InputError: a scene with a cloud, in a world that was built for another.
+    """
     mask = np.asarray(scene.mask)
+    held = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, _CLOUD)
+    spheres = int(model.body_geomnum[held]) if held >= 0 else 0
+    points = 0 if scene.cloud is None else int(scene.cloud.num)
+    if spheres != points:
+        raise InputError(
+            f"the scene has a cloud of {points} points, and the MuJoCo world one of {spheres}; "
+            "build the world with the scene's cloud"
+        )
     kinds = kind_of(scene.half_extents, scene.radii)
     for i, (body, geom, mocap) in enumerate(zip(*obstacles(model, len(mask)), strict=True)):
         exists = bool(mask[i])
@@ -130,10 +175,11 @@ class Contact(NamedTuple):
 
 
 def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None:
-    """What the C engine finds in collision at a configuration `[D]` of one scene."""
+    """What the C engine finds in collision at a configuration `[D]` of one scene; with its cloud
+    the spheres around the arm's parts, which are what is tested against clouds."""
     model = _cached_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_boxes(model, data, scene._replace(cloud=None))
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     parts, pairs = robot.part_geom_ids.tolist(), robot.part_pairs.tolist()
@@ -149,20 +195,51 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
             (depth_of(model, data, parts[number], int(placed[i])), robot.parts[number].name, name)
             for number in moving
         ]
+    depth, part = _depth_in_cloud(robot, scene, model, q, moved=True)
+    if depth > 0:
+        found.append((depth, f"the spheres around {part}", "the cloud"))
     depth, first, second = max(found, default=(0.0, "", ""))
     return Contact(first, second, depth) if depth > 0 else None
 
 
 def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
     """How far an obstacle of one scene reaches into what no joint moves of the arm, m; 0 or less
-    where it does not."""
+    where it does not. Of the cloud, which comes after the last: its points, as its balls stand out
+    of what was seen."""
     model = _cached_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_boxes(model, data, scene._replace(cloud=None))
     mujoco.mj_kinematics(model, data)
+    if i == len(scene.mask) and scene.cloud is not None:
+        cloud = scene.cloud._replace(radius=np.float32(0))
+        return _depth_in_cloud(robot, scene._replace(cloud=cloud), model, robot.home, moved=False)[
+            0
+        ]
     obstacle = int(obstacles(model, len(scene.mask)).geoms[i])
     fixed = [g for g in robot.part_geom_ids.tolist() if not _is_moved(model, g)]
     return max((depth_of(model, data, g, obstacle) for g in fixed), default=0.0)
+
+
+def _depth_in_cloud(
+    robot: Robot, scene: Scene, model: mujoco.MjModel, q: np.ndarray, *, moved: bool
+) -> tuple[float, str]:
+    """How far a cloud reaches into the spheres around the parts that joints move, or that none
+    moves, m; and into which part's."""
+    if scene.cloud is None or not int(scene.cloud.num):
+        return 0.0, ""
+    chosen = np.array([_is_moved(model, g) == moved for g in robot.geom_ids.tolist()], bool)
+    if not chosen.any():
+        return 0.0, ""
+    found = forward_kinematics(robot, jnp.asarray(q, jnp.float32))
+    # What no joint moves has the body -1: the last, the world.
+    positions = np.concatenate([np.asarray(found[0]), np.zeros((1, 3))])[robot.geom_bodies]
+    rotations = np.concatenate([np.asarray(found[1]), np.eye(3)[None]])[robot.geom_bodies]
+    centers = positions + np.einsum("gij,gj->gi", rotations, robot.geom_centers)
+    points = np.asarray(scene.cloud.points[: int(scene.cloud.num)], float)
+    away, _ = cKDTree(points).query(centers[chosen])
+    depth = robot.geom_radii[chosen] + float(scene.cloud.radius) - away
+    deepest = int(depth.argmax())
+    return float(depth[deepest]), robot.parts[robot.geom_parts[chosen][deepest]].name
 
 
 def _is_moved(model: mujoco.MjModel, geom: int) -> bool:

@@ -1,4 +1,7 @@
-"""Scenes: obstacles in the frame of the arm's base, padded to a fixed number with a mask."""
+"""Scenes: obstacles in the frame of the arm's base, padded to a fixed number with a mask.
+
+Longer than other modules, since all that makes a scene checks its numbers in the same words.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -10,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.errors import InputError
+from gnnjax.scene.cloud import MOST_METERS, Balls, Cloud, make_cloud, no_cloud, with_room
 from gnnjax.scene.shapes import (
     FIELDS,
     HALF_SPACE,
@@ -26,8 +30,6 @@ from gnnjax.scene.shapes import (
 # Padded numbers of obstacles; one compilation each. The first holds the paper's 2 to 9 boxes.
 BOX_BUCKETS = (10, 16, 32, 64, 128)
 
-MOST_METERS = 1e4  # of any coordinate; single precision has lost a millimetre there
-
 _BLANK_SIZE = 0.1  # m; padding has a size, so that nothing divides by zero
 
 
@@ -35,7 +37,8 @@ class Scene(NamedTuple):
     """Obstacles in the frame of the arm's base, wherever its MJCF puts that.
 
     Each is the sum (Minkowski's) of a box, a disc about the box's z axis, and a ball, one or two of
-    which are zero: see `shapes.py`. Scenes are made by `make_scene` and `scene_from_shapes`.
+    which are zero: see `shapes.py`. Scenes are made by `make_scene` and `scene_from_shapes`. What
+    has another form is in its cloud (`cloud.py`).
     """
 
     centers: Float[Array, "*batch M 3"]  # m
@@ -43,6 +46,7 @@ class Scene(NamedTuple):
     quats: Float[Array, "*batch M 4"]  # unit quaternions w x y z, obstacle to base
     radii: Float[Array, "*batch M 2"]  # m, of the disc and of the ball
     mask: Bool[Array, "*batch M"]  # true where the obstacle exists
+    cloud: Cloud | None = None
 
 
 def box_scene(
@@ -51,7 +55,7 @@ def box_scene(
     """A scene of boxes alone, of arrays `[*batch, M, ...]` as they are."""
     zeros = np.zeros if isinstance(mask, np.ndarray) else jnp.zeros
     radii = zeros((*np.shape(mask), 2), np.float32)
-    return Scene._make([centers, half_extents, quats, radii, mask])
+    return Scene._make([centers, half_extents, quats, radii, mask, None])
 
 
 def box_bucket(num: int, source: str = "the scene") -> int:
@@ -65,12 +69,18 @@ def box_bucket(num: int, source: str = "the scene") -> int:
 
 
 def scene_from_shapes(
-    shapes: Sequence[Shape], *, max_boxes: int | None = None, source: str = "the scene"
+    shapes: Sequence[Shape],
+    *,
+    clouds: Sequence[Balls] = (),
+    max_boxes: int | None = None,
+    source: str = "the scene",
 ) -> Scene:
     """Builds a scene of any obstacles: `scene_from_shapes([box(...), cylinder(...)])`.
 
     Args:
         shapes: what stands there; boxes come first in the scene, then each other kind.
+        clouds: what stands there in other forms, made by `point_cloud`, `mesh` and `height_field`;
+            the balls of all get the greatest of their radii.
         max_boxes: padded number; by default the smallest bucket that fits.
         source: how error messages call the scene, a file name for example.
 
@@ -86,7 +96,8 @@ def scene_from_shapes(
             parts.append(sums_from(kind, columns, source))
     joined = [np.concatenate(x) for x in zip(*parts, strict=True)] if parts else _NOTHING
     num = len(joined[0])
-    scene = Scene._make([*(x.astype(np.float32) for x in joined), np.ones(num, bool)])
+    cloud = make_cloud(clouds, source) if clouds else None
+    scene = Scene._make([*(x.astype(np.float32) for x in joined), np.ones(num, bool), cloud])
     return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
 
 
@@ -119,7 +130,7 @@ def make_scene(
         given["quat"] = quats
     sums = sums_from("box", given, source)
     num = len(sums.centers)
-    scene = Scene._make([*(x.astype(np.float32) for x in sums), np.ones(num, bool)])
+    scene = Scene._make([*(x.astype(np.float32) for x in sums), np.ones(num, bool), None])
     return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
 
 
@@ -235,7 +246,41 @@ def pad_scene(scene: Scene, max_boxes: int) -> Scene:
         quats,
         pad(scene.radii, 0.0),
         pad(scene.mask, False),
+        scene.cloud,
     )
+
+
+def stack_scenes(scenes: Sequence[Scene]) -> Scene:
+    """Scenes as one batch `[P, M, ...]`, with room in each for as many obstacles and points as the
+    largest has."""
+    most = max(scene.mask.shape[-1] for scene in scenes)
+    padded = same_clouds([pad_scene(scene, most) for scene in scenes])
+    return jax.tree.map(lambda *x: np.stack(x), *padded)
+
+
+def same_clouds(scenes: Sequence[Scene]) -> list[Scene]:
+    """Scenes, or batches of scenes, whose clouds have room for as many points; where one has a
+    cloud, all have one, if need be without points."""
+    rooms = [scene.cloud.points.shape[-2] for scene in scenes if scene.cloud is not None]
+    if not rooms:
+        return list(scenes)
+
+    def with_cloud(scene: Scene) -> Scene:
+        if scene.cloud is not None:
+            return scene._replace(cloud=with_room(scene.cloud, max(rooms)))
+        batch, none = scene.mask.shape[:-1], no_cloud(max(rooms))
+        return scene._replace(
+            cloud=jax.tree.map(lambda x: np.broadcast_to(x, (*batch, *np.shape(x))), none)
+        )
+
+    return [with_cloud(scene) for scene in scenes]
+
+
+def without_points(scene: Scene) -> Scene:
+    """A scene for kernels, which look a cloud up in its grid; certificates refuse it."""
+    if scene.cloud is None:
+        return scene
+    return scene._replace(cloud=scene.cloud._replace(points=scene.cloud.points[..., :0, :]))
 
 
 def pad_boxes(scene: Scene, max_boxes: int) -> Scene:
@@ -248,6 +293,7 @@ def pad_boxes(scene: Scene, max_boxes: int) -> Scene:
         jnp.concatenate([scene.quats, identity]),
         jnp.pad(scene.radii, ((0, pad), (0, 0))),
         jnp.pad(scene.mask, (0, pad)),
+        scene.cloud,
     )
 
 
@@ -279,11 +325,17 @@ def inflated(scene: Scene, margin: float) -> Scene:
     if margin == 0:
         return scene
     more = np.where(np.asarray(scene.mask)[..., None], np.float32([0, margin]), np.float32(0))
-    return scene._replace(radii=scene.radii + more)
+    cloud = scene.cloud
+    if cloud is not None:
+        cloud = cloud._replace(radius=np.asarray(cloud.radius) + np.float32(margin))
+    return scene._replace(radii=scene.radii + more, cloud=cloud)
 
 
 def obstacle_name(scene: Scene, i: int) -> str:
-    """How error messages call obstacle i of one scene: its kind, and its number among those."""
+    """How error messages call obstacle i of one scene: its kind, and its number among those. The
+    one after the last is its cloud."""
+    if i == len(scene.mask) and scene.cloud is not None:
+        return "the cloud"
     kinds = kind_of(scene.half_extents, scene.radii)
     number = int((np.asarray(scene.mask)[:i] & (kinds[:i] == kinds[i])).sum())
     return f"{KINDS[kinds[i]] if kinds[i] >= 0 else 'obstacle'} {number}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
+from gnnjax.scene.cloud import Balls, point_cloud
 from gnnjax.scene.scene import Scene, box_bucket, scene_from_shapes
 from gnnjax.scene.shapes import (
     FIELDS,
@@ -20,6 +21,7 @@ from gnnjax.scene.shapes import (
     for_every_kind,
     kind_of,
 )
+from gnnjax.scene.surfaces import height_field, mesh, points_from_file
 
 # The lists of a scene file.
 _LISTS = for_every_kind(
@@ -32,12 +34,25 @@ _LISTS = for_every_kind(
 )
 
 
+# The lists of what has other forms: what each entry needs, and what it may have.
+_CLOUDS = {
+    "clouds": (("points",), ("radius", "voxel")),
+    "meshes": (("file",), ("center", "quat", "scale", "voxel", "solid")),
+    "height_fields": (("heights", "size"), ("center", "quat", "depth", "voxel")),
+}
+
+
 def scene_from_json(path: str | Path) -> Scene:
     """Reads lists of obstacles: `{"boxes": [{"center": [x,y,z], "half_extents": [x,y,z]}], ...}`.
 
     There may be `boxes` (`center`, `half_extents`), `spheres` (`center`, `radius`), `capsules` and
     `cylinders` (`center`, `radius`, `half_length`; about their z axis), each of which but spheres
     may have a `quat` (w, x, y, z), and `half_spaces` (`point`, `normal`). All lengths in m.
+
+    And there may be `clouds` (`points`: a list, or a file of `points_from_file`; `radius` and
+    `voxel`, see `point_cloud`), `meshes` (`file` and what else `mesh` takes) and `height_fields`
+    (`heights`: a list of rows, or a .npy file; and what else `height_field` takes). Names of files
+    are relative to the folder of the JSON.
 
     Raises:
         InputError: the file is missing, is no JSON, holds anything else, or an obstacle lacks what
@@ -48,9 +63,21 @@ def scene_from_json(path: str | Path) -> Scene:
     if not isinstance(data, dict) or not data:
         raise InputError(
             f'{called} holds no list of obstacles; write {{"boxes": [...]}} or others of '
-            f"{list(_LISTS.values())}"
+            f"{[*_LISTS.values(), *_CLOUDS]}"
         )
-    return scene_from_shapes(shapes_of(data, called, repr(str(path))), source=repr(str(path)))
+    short = repr(str(path))
+    clouds = [
+        _read_cloud(name, values, Path(path).parent, f"{name} {i} of {short}")
+        for name in _CLOUDS
+        for i, values in enumerate(_listed(data.pop(name, []), name, called))
+    ]
+    return scene_from_shapes(shapes_of(data, called, short), clouds=clouds, source=short)
+
+
+def _listed(value: Any, name: str, called: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"{called} has {name} = {brief(value)}; give a list")
+    return value
 
 
 def read_json(path: str | Path, what: str) -> Any:
@@ -94,14 +121,55 @@ def shapes_of(data: dict[str, Any], called: str, short: str) -> list[Shape]:
             "obstacles in one of those, and remove what is none"
         )
     for name, listed in data.items():
-        if not isinstance(listed, list):
-            raise InputError(f"{called} has {name} = {brief(listed)}; give a list")
+        _listed(listed, name, called)
     box_bucket(sum(map(len, data.values())), called)  # too many are refused before each is read
     return [
         Shape(kind, _checked(kind, values, f"{kind} {i} of {short}"))
         for kind, name in _LISTS.items()
         for i, values in enumerate(data.get(name, []))
     ]
+
+
+def _read_cloud(name: str, values: Any, folder: Path, called: str) -> Balls:
+    needed, optional = _CLOUDS[name]
+    if not isinstance(values, dict) or not set(needed) <= values.keys() <= {*needed, *optional}:
+        found = brief(sorted(values) if isinstance(values, dict) else values)
+        raise InputError(
+            f"{called} has {found}; give {', '.join(needed)} and, if wanted, {', '.join(optional)}"
+        )
+    given = dict(values)
+    for key in given.keys() & {"radius", "voxel", "scale", "depth"}:
+        if given[key] is None and (name, key) == ("clouds", "voxel"):
+            continue
+        if type(given[key]) not in (int, float):
+            raise InputError(f"{called} has {key} = {brief(given[key])}; give a number")
+        given[key] = float(given[key])
+    if not isinstance(given.get("solid"), bool | None):
+        raise InputError(f"{called} has solid = {brief(given['solid'])}; give true or false")
+    for key in given.keys() & {"center", "quat", "size"}:
+        if not isinstance(given[key], list):
+            raise InputError(f"{called} has {key} = {brief(given[key])}; give a list of numbers")
+    first = given.pop(needed[0])
+    if not isinstance(first, str) and (name == "meshes" or not isinstance(first, list)):
+        either = "" if name == "meshes" else ", or a list"
+        raise InputError(
+            f"{called} has {needed[0]} = {brief(first)}; give the name of a file{either}"
+        )
+    if isinstance(first, str):
+        file = folder / first
+        if name == "meshes":
+            return mesh(file, **given)
+        first = points_from_file(file) if name == "clouds" else _numbers_of(file, called)
+    if name == "clouds":
+        return point_cloud(first, **given, source=called)
+    return height_field(first, **given)
+
+
+def _numbers_of(file: Path, called: str) -> np.ndarray:
+    try:
+        return np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{called} names {str(file)!r}, which is no .npy file: {error}") from None
 
 
 def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -136,7 +204,8 @@ def _checked(kind: str, values: Any, called: str) -> dict[str, Any]:
 
 def scene_to_json(scene: Scene, path: str | Path) -> None:
     """Writes the existing obstacles of one scene as JSON that `scene_from_json` reads."""
-    one = jax.tree.map(lambda x: np.asarray(x)[np.asarray(scene.mask)], scene)
+    shapes = scene._replace(cloud=None)
+    one = jax.tree.map(lambda x: np.asarray(x)[np.asarray(scene.mask)], shapes)
     kinds = kind_of(one.half_extents, one.radii)
     if (kinds < 0).any():
         raise InputError(
@@ -156,5 +225,9 @@ def scene_to_json(scene: Scene, path: str | Path) -> None:
         ]
         if found or kind == "box":
             lists[_LISTS[kind]] = found
+    if scene.cloud is not None and int(scene.cloud.num):
+        points = np.asarray(scene.cloud.points)[: int(scene.cloud.num)]
+        cloud = {"points": points.tolist(), "radius": float(scene.cloud.radius), "voxel": None}
+        lists["clouds"] = [cloud]
     text = json.dumps(lists, indent=1)
     atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8"))

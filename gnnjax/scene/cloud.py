@@ -1,0 +1,274 @@
+"""Clouds: obstacles of any form, as balls of one radius about many points.
+
+What a depth camera sees, a mesh or a height field is brought into this one form, by balls that
+enclose it. Kernels do not look at the balls, but at the squared distances of the nodes of a grid
+to the nearest of their centres. Between nodes, Jensen's inequality bounds that distance from below:
+the least of |p - c|^2 over all c, less |p|^2, is concave in p, so that its mean over the corners of
+a cell, weighted so that their mean is p, is no more than its value at p. For |p|^2, that mean is
+too large by the variance of the corners. Where all corners have the same nearest point, the bound
+is exact; before a wall it is short by the second order of a cell's size. Halfway between two walls
+it may be short by half a cell's diagonal, as the nearest node's distance would be anywhere.
+"""
+
+import os
+import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.spatial import cKDTree
+
+from gnnjax.arm.kinematics import Vector
+from gnnjax.errors import InputError
+
+NODES = 48  # of the grid, along each axis
+AROUND = 0.15  # m, of the grid beyond the points: where it ends, all spheres of an arm are clear
+REACH = 3.0  # m; a cube of twice that about the base holds the grid. What leaves it is not free
+BUCKETS = (256, 1024, 4096, 16384, 65536, 262144)  # padded numbers of points
+VOXEL, RADIUS = 0.01, 0.01  # m, unless told
+MOST_METERS = 1e4  # of any coordinate
+_FAR = 1e3  # m; what a scene without a cloud is away from one
+
+
+class Balls(NamedTuple):
+    """All that is within a radius of some points."""
+
+    points: np.ndarray  # [K 3] m
+    radius: float  # m
+
+
+class Cloud(NamedTuple):
+    """The balls of a scene, padded, and the grid in which kernels look them up.
+
+    Certificates see the points alone, and kernels the grid alone.
+    """
+
+    points: Float[Array, "*batch K 3"]  # m, in the frame of the arm's base
+    num: Int[Array, "*batch"]  # of them that exist; others are zeros
+    radius: Float[Array, "*batch"]  # m
+    lower: Float[Array, "*batch 3"]  # m, the first node
+    cells: Float[Array, "*batch 3"]  # m, between neighbouring nodes
+    squared: Float[
+        Array, "*batch V"
+    ]  # m^2, from each node to the nearest point; the last axis is z
+
+
+def point_cloud(
+    points: Sequence | np.ndarray,
+    radius: float = RADIUS,
+    voxel: float | None = VOXEL,
+    *,
+    source: str = "the cloud",
+) -> Balls:
+    """All within `radius` of points, enclosed by fewer balls: one for each voxel that has points.
+
+    A ball stands in the middle of what is in its voxel. Its radius is greater than `radius` by as
+    much as any voxel needs, no more than 0.87 of its edge; so that no ball stands out of those of
+    the points by more than 1.74 edges, and on even surfaces by less than one.
+
+    Args:
+        points: `[K, 3]` m, in the frame of the arm's base.
+        radius: m; half the distance of neighbouring points at least, or the arm fits in between.
+        voxel: edge, m; None keeps each point.
+        source: how error messages call the cloud.
+
+    Raises:
+        InputError: no points, another shape, a number that is not finite or beyond 10 km, a radius
+            or voxel that is not positive.
+    """
+    array = _checked_points(points, source)
+    for name, size in (("radius", radius), ("voxel", voxel)):
+        if size is not None and not 0 < size < np.inf:
+            raise InputError(f"{name} of {source} is {size}; it must be positive (m)")
+    if voxel is None:
+        return Balls(array, float(radius))
+    centers, more = _merged(array, voxel)
+    return Balls(centers, float(radius + more))
+
+
+def _checked_points(points: Sequence | np.ndarray, source: str) -> np.ndarray:
+    try:
+        array = np.asarray(points, float)
+    except (TypeError, ValueError):
+        raise InputError(f"points of {source} are not numbers; give [K, 3]") from None
+    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+        raise InputError(
+            f"points of {source} have shape {array.shape}; give [K, 3], one point or more"
+        )
+    bad = ~(np.abs(array) <= MOST_METERS).all(axis=1)
+    if bad.any():
+        i = int(bad.argmax())
+        raise InputError(
+            f"point {i} of {source} is {array[i].tolist()}, one of {int(bad.sum())} that are not "
+            f"finite or beyond {MOST_METERS:g} m; remove these"
+        )
+    return array
+
+
+def _merged(points: np.ndarray, voxel: float) -> tuple[np.ndarray, float]:
+    """The middle of the points of each voxel, and how far one of them is from it at most, m."""
+    key = np.floor((points - points.min(axis=0)) / voxel).astype(np.int64)
+    size = key.max(axis=0) + 1
+    if float(np.prod(size.astype(float))) > 2.0**62:
+        raise InputError(f"a voxel of {voxel:g} m is too small for points so far apart; enlarge it")
+    flat = (key[:, 0] * size[1] + key[:, 1]) * size[2] + key[:, 2]
+    order = np.argsort(flat, kind="stable")
+    first = np.flatnonzero(np.diff(flat[order], prepend=-1))
+    low = np.minimum.reduceat(points[order], first)
+    high = np.maximum.reduceat(points[order], first)
+    return (low + high) / 2, float(np.sqrt(((high - low) ** 2).sum(axis=1).max())) / 2
+
+
+def make_cloud(clouds: Sequence[Balls], source: str = "the scene") -> Cloud:
+    """Clouds as one, for a scene: all balls get the greatest of the radii.
+
+    Raises:
+        InputError: more points than the largest bucket holds.
+    """
+    points = np.concatenate([balls.points for balls in clouds]).astype(np.float32)
+    radius = max(balls.radius for balls in clouds)
+    room = next((bucket for bucket in BUCKETS if len(points) <= bucket), None)
+    if room is None:
+        raise InputError(
+            f"{source} has clouds of {len(points)} points; at most {BUCKETS[-1]} are supported, "
+            "choose larger voxels"
+        )
+    nearest = float(np.sqrt((points**2).sum(axis=1).min()))
+    if nearest > REACH:
+        warnings.warn(
+            f"all points of the clouds of {source} are {nearest:g} m or more from the arm's base, "
+            "out of its reach; are they in millimetres, or in the camera's frame?",
+            stacklevel=3,
+        )
+    lower, cells, squared = _grid(points)
+    padded = np.pad(points, ((0, room - len(points)), (0, 0)))
+    return Cloud(
+        padded, np.int32(len(points)), np.float32(radius), lower, cells, squared.astype(np.float32)
+    )
+
+
+def _grid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First node, cells and squared distances of a grid over what is in reach of points `[K, 3]`.
+
+    Outside of it, kernels measure from the nearest point of its box. They may, as beyond that side
+    there are no points, or it is out of reach.
+    """
+    lower = np.clip(points.min(axis=0) - np.float32(AROUND), -REACH, REACH)
+    upper = np.clip(points.max(axis=0) + np.float32(AROUND), -REACH, REACH)
+    cells = np.maximum((upper - lower) / (NODES - 1), np.float32(1e-4))
+    sides = lower.astype(float)[:, None] + cells.astype(float)[:, None] * np.arange(NODES)
+    nodes = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    # A third of the time of a balanced tree, for points that are spread evenly.
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+    away, _ = tree.query(nodes, workers=os.cpu_count() or 1)
+    return lower, cells, away * away
+
+
+def no_cloud(room: int = 0) -> Cloud:
+    """What a scene without a cloud has in a batch in which others have one.
+
+    Args:
+        room: padded number of points.
+    """
+    return Cloud(
+        np.zeros((room, 3), np.float32),
+        np.int32(0),
+        np.float32(0),
+        np.zeros(3, np.float32),
+        np.ones(3, np.float32),
+        np.full(NODES**3, _FAR * _FAR, np.float32),
+    )
+
+
+def with_room(cloud: Cloud, room: int) -> Cloud:
+    """A NumPy cloud, or batch of clouds, with room for so many points."""
+    points = np.asarray(cloud.points)
+    widths = [(0, 0)] * points.ndim
+    widths[-2] = (0, room - points.shape[-2])
+    return cloud._replace(points=np.pad(points, widths))
+
+
+class Lookup(NamedTuple):
+    """The grids of some points, each its own, or the same for all."""
+
+    lower: list[jax.Array]  # of each axis
+    cells: list[jax.Array]
+    radius: jax.Array  # m, of the balls
+    squared: Float[Array, " V"]  # of all grids in a row
+    first: jax.Array | int  # where those of a point begin
+
+
+def lookup(cloud: Cloud, owner: Int[Array, "..."] | None = None) -> Lookup:
+    """How `squared_distance_to` finds the distances of points to a cloud.
+
+    Args:
+        cloud: one, or `[P, ...]`.
+        owner: of each point, in which of P clouds it is looked up; None for one cloud.
+    """
+    if owner is None:
+        return Lookup(
+            list(cloud.lower), list(cloud.cells), cloud.radius, jnp.asarray(cloud.squared), 0
+        )
+    nodes = cloud.squared.shape[-1]
+    return Lookup(
+        list(jnp.moveaxis(cloud.lower[owner], -1, 0)),
+        list(jnp.moveaxis(cloud.cells[owner], -1, 0)),
+        cloud.radius[owner],
+        cloud.squared.reshape(-1),
+        owner.astype(jnp.int32) * nodes,
+    )
+
+
+def squared_distance_to(grid: Lookup, point: Vector) -> jax.Array:
+    """No more than the squared distance [m^2] of points to the centres of a cloud's balls, and less
+    by a cell's diagonal times the sum of the distance and a quarter of it at most; negative where
+    nothing is known.
+
+    Args:
+        grid: of `lookup`.
+        point: three arrays, m.
+    """
+    index, fraction, extra, inside = jnp.int32(0), [], 0.0, True
+    for x, low, cell in zip(point, grid.lower, grid.cells, strict=True):
+        inside = inside & (jnp.abs(jnp.asarray(x)) <= REACH)
+        at = (x - low) / cell
+        # As everywhere in such loops: `clip` would have to carry NaN.
+        held = jnp.where(at > 0.0, at, 0.0)
+        held = jnp.where(held < NODES - 1.0, held, NODES - 1.0)
+        # The angle between the way to the box of all points and on to any is obtuse.
+        beyond = (at - held) * cell
+        whole = jnp.floor(jnp.where(held < NODES - 2.0, held, NODES - 2.0))
+        part = held - whole
+        extra = extra + beyond * beyond - cell * cell * part * (1.0 - part)
+        index = index * NODES + whole.astype(jnp.int32)
+        fraction.append(part)
+    index = index + grid.first
+
+    def corner(offset: int) -> jax.Array:
+        return grid.squared.at[index + offset].get(mode="promise_in_bounds")
+
+    def between(low: jax.Array, high: jax.Array, part: jax.Array) -> jax.Array:
+        return low + part * (high - low)
+
+    x, y, z = fraction
+    rows = [
+        between(corner(first), corner(first + 1), z)
+        for first in (0, NODES, NODES * NODES, NODES * NODES + NODES)
+    ]
+    mean = between(between(rows[0], rows[1], y), between(rows[2], rows[3], y), x)
+    return jnp.where(inside, mean + extra, -1.0)
+
+
+def distances_to(cloud: Cloud, point: Vector) -> jax.Array:
+    """No more than the distances [m] of points to the balls of a cloud; minus the radius, or less,
+    is as deep as it gets.
+
+    Args:
+        cloud: one.
+        point: three arrays, m.
+    """
+    squared = squared_distance_to(lookup(cloud), point)
+    return jnp.sqrt(jnp.where(squared > 0.0, squared, 0.0)) - cloud.radius

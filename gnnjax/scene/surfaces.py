@@ -1,0 +1,344 @@
+"""Meshes and height fields as balls that enclose them, and the files that clouds are read from."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from gnnjax.errors import InputError
+from gnnjax.files import read_arrays
+from gnnjax.scene.cloud import MOST_METERS, RADIUS, Balls, point_cloud
+from gnnjax.scene.cloud import VOXEL as CLOUD_VOXEL
+from gnnjax.scene.scene import Scene, scene_from_shapes
+from gnnjax.scene.shapes import IDENTITY_QUAT
+
+VOXEL = 0.005  # m, unless told
+INSIDE = 0.05  # m; no ball of this radius fits between those that fill a solid
+_MOST_CELLS = 200  # along an edge of the lattice in which solids are filled
+_MOST_SAMPLES = 20_000_000  # points on a surface
+_TYPES = {"F": "f", "U": "u", "I": "i"}  # of PCD's numbers, as NumPy calls them
+
+
+def mesh(
+    file: str | Path,
+    center: Sequence | np.ndarray = (0, 0, 0),
+    quat: Sequence | np.ndarray = IDENTITY_QUAT,
+    scale: float = 1.0,
+    voxel: float = VOXEL,
+    solid: bool | None = None,
+) -> Balls:
+    """A mesh, convex or not, enclosed by balls that stand out of it by two voxels at most.
+
+    An open mesh is its surface. A closed one is solid: what is enclosed is filled so that no ball
+    of `INSIDE` (or of two voxels, or a hundredth of the mesh, if that is more) has room there.
+
+    Args:
+        file: STL, OBJ, PLY or another format that trimesh reads.
+        center: where the mesh's origin is in the frame of the arm's base, m.
+        quat: its orientation w x y z.
+        scale: metres of the file's unit; 0.001 for millimetres.
+        voxel: edge of those that each have one ball, m.
+        solid: whether the mesh must be closed, or is its surface in any case; None takes it as it
+            is.
+
+    Raises:
+        InputError: no such file, no mesh in it, an open one with `solid`, one too large for such
+            small voxels, a scale or voxel that is not positive.
+    """
+    called = f"mesh {str(file)!r}"
+    if not 0 < scale < np.inf:
+        raise InputError(f"scale of {called} is {scale}; it must be positive")
+    loaded = _by_trimesh(Path(file), called, "mesh")
+    vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
+    rotation = _rotation(quat, called)
+    placed = scale * vertices @ rotation.T + _vector(center, f"center of {called}")
+    return enclosed(placed, faces, voxel, solid, source=called)
+
+
+def height_field(
+    heights: Sequence | np.ndarray,
+    size: Sequence,
+    center: Sequence | np.ndarray = (0, 0, 0),
+    quat: Sequence | np.ndarray = IDENTITY_QUAT,
+    depth: float = 0.1,
+    voxel: float = VOXEL,
+) -> Balls:
+    """A height field with all that is below it, enclosed as a closed `mesh` is.
+
+    Args:
+        heights: `[R, C]` m along z; rows are along y, columns along x.
+        size: from the first to the last column, and from the first to the last row, m.
+        center: of the field in the frame of the arm's base, m.
+        quat: its orientation w x y z.
+        depth: how far it goes on below the least height, m.
+        voxel: edge of those that each have one ball, m.
+
+    Raises:
+        InputError: fewer than 2 x 2 heights, numbers that are not finite, sizes that are not
+            positive.
+    """
+    called = "the height field"
+    try:
+        array = np.asarray(heights, float)
+    except (TypeError, ValueError):
+        raise InputError(f"heights of {called} are not numbers; give [R, C]") from None
+    if array.ndim != 2 or min(array.shape) < 2:
+        raise InputError(
+            f"heights of {called} have shape {array.shape}; give [R, C], 2 x 2 or more"
+        )
+    if not (np.abs(array) <= MOST_METERS).all():
+        raise InputError(f"heights of {called} must be finite, and below {MOST_METERS:g} m")
+    across, along = _vector(size, f"size of {called}", 2)
+    if not (across > 0 and along > 0 and 0 < depth < np.inf):
+        raise InputError(f"size {size} and depth {depth} of {called} must be positive (m)")
+    rows, columns = array.shape
+    x, y = np.meshgrid(
+        np.linspace(-across / 2, across / 2, columns),
+        np.linspace(-along / 2, along / 2, rows),
+    )
+    bottom = np.full(array.shape, array.min() - depth)
+    vertices = np.concatenate(
+        [np.stack([x, y, z], axis=-1).reshape(-1, 3) for z in (array, bottom)]
+    )
+    number = np.arange(2 * array.size).reshape(2, rows, columns)
+    top, below = number
+    quads = [_quads(top), _quads(below)]
+    for edge in (np.s_[0, :], np.s_[-1, :], np.s_[:, 0], np.s_[:, -1]):
+        quads.append(_quads(np.stack([top[edge], below[edge]])))
+    rotation = _rotation(quat, called)
+    placed = vertices @ rotation.T + _vector(center, f"center of {called}")
+    # Closed, though its faces are not all turned outwards.
+    return _covered(placed, np.concatenate(quads), voxel, True, called)
+
+
+def _quads(number: np.ndarray) -> np.ndarray:
+    """Triangles between neighbours of a lattice of vertices."""
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    return np.concatenate(
+        [np.stack([a, b, d], axis=-1).reshape(-1, 3), np.stack([a, d, c], axis=-1).reshape(-1, 3)]
+    )
+
+
+def enclosed(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    voxel: float = VOXEL,
+    solid: bool | None = None,
+    *,
+    source: str = "the mesh",
+) -> Balls:
+    """`mesh` of vertices `[V, 3]`, m, in the frame of the arm's base, and faces `[F, 3]`."""
+    if not len(faces) or not len(vertices):
+        raise InputError(f"{source} has no faces; points alone are a point_cloud")
+    if not (np.abs(vertices) <= MOST_METERS).all():
+        raise InputError(
+            f"{source} has vertices that are not finite or beyond {MOST_METERS:g} m; mend it"
+        )
+    closed = _is_closed(vertices, faces)
+    if solid and not closed:
+        raise InputError(
+            f"{source} is not closed, so that it has no inside; close it, or take its surface with "
+            "solid=None"
+        )
+    return _covered(vertices, faces, voxel, closed and solid is not False, source)
+
+
+def _is_closed(vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether each edge is one of two faces, or of another even number."""
+    # STL files have each face's corners for themselves.
+    _, same = np.unique(vertices, axis=0, return_inverse=True)
+    corners = same.reshape(-1)[faces]
+    corners = corners[(np.diff(np.sort(corners, axis=1), axis=1) > 0).all(axis=1)]
+    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]))
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    return bool(len(count)) and bool((count % 2 == 0).all())
+
+
+def _covered(
+    vertices: np.ndarray, faces: np.ndarray, voxel: float, filled: bool, source: str
+) -> Balls:
+    if not 0 < voxel < np.inf:
+        raise InputError(f"voxel of {source} is {voxel}; it must be positive (m)")
+    extent = vertices.max(axis=0) - vertices.min(axis=0)
+    cell = max(voxel, float(extent.max()) / _MOST_CELLS)
+    spacing = voxel / 2
+    samples = _samples(vertices[faces], spacing, source)
+    # Where three points are no farther apart than `spacing`, one of them is that near to all that
+    # is between them: at one of three angles of which each is 120 degrees or more, were it not.
+    shell = point_cloud(samples, spacing / np.sqrt(3), voxel, source=source)
+    if not filled:
+        return shell
+    return Balls(np.concatenate([shell.points, _inside(samples, cell)]), shell.radius)
+
+
+def _samples(triangles: np.ndarray, spacing: float, source: str) -> np.ndarray:
+    """Points of triangles `[F, 3, 3]`, which they cut into smaller ones with edges of `spacing` at
+    most."""
+    edges = triangles - np.roll(triangles, 1, axis=1)
+    longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
+    parts = np.maximum(1, np.ceil(longest / spacing)).astype(np.int64)
+    total = int(((parts + 1) * (parts + 2) // 2).sum())
+    if total > _MOST_SAMPLES:
+        raise InputError(
+            f"{source} takes {total} points {1e3 * spacing:g} mm apart, more than {_MOST_SAMPLES}; "
+            "choose a larger voxel, or check its unit"
+        )
+    found = []
+    for count in np.unique(parts):
+        first, second = np.triu_indices(count + 1)
+        weights = np.stack([first, second - first, count - second], axis=1) / count
+        found.append((weights @ triangles[parts == count]).reshape(-1, 3))
+    return np.concatenate(found)
+
+
+def _inside(samples: np.ndarray, cell: float) -> np.ndarray:
+    """Points inside of a closed surface, of which enough samples are given, on a lattice.
+
+    Cells that hold samples part inside from outside: what joins the centres of two others that are
+    neighbours does not cross the surface, or a sample would be nearer than the end of these cells.
+    """
+    lower = samples.min(axis=0) - 1.5 * cell
+    index = np.floor((samples - lower) / cell).astype(int)
+    wall = np.zeros(index.max(axis=0) + 2, bool)
+    wall[tuple(index.T)] = True
+    hollow = ndimage.binary_fill_holes(wall) & ~wall
+    # Every so many cells, so that no centre of a ball of `INSIDE` is farther from all of them.
+    every = max(1, int(2 * (INSIDE / np.sqrt(3) - cell) / cell))
+    chosen = np.zeros_like(hollow)
+    chosen[::every, ::every, ::every] = True
+    return lower + (np.argwhere(hollow & chosen) + 0.5) * cell
+
+
+def _rotation(quat: Sequence | np.ndarray, called: str) -> np.ndarray:
+    array = _vector(quat, f"quat of {called}", 4)
+    norm = float(np.linalg.norm(array))
+    if norm < 1e-3:
+        raise InputError(f"quat of {called} is {array.tolist()}; give a rotation as w x y z")
+    w, x, y, z = array / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _vector(value: Sequence | np.ndarray, called: str, width: int = 3) -> np.ndarray:
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != (width,) or not np.isfinite(array).all():
+        raise InputError(f"{called} is {value!r}; give {width} finite numbers")
+    return array
+
+
+def _by_trimesh(file: Path, called: str, what: str):
+    if not file.is_file():
+        raise InputError(f"no {called}; check the path")
+    try:
+        import trimesh
+    except ImportError:
+        raise InputError(
+            f"{called} is read by trimesh, which is missing; pip install trimesh"
+        ) from None
+    try:
+        loaded = (
+            trimesh.load(str(file), force="mesh") if what == "mesh" else trimesh.load(str(file))
+        )
+    except Exception as error:  # whatever its readers of many formats raise
+        raise InputError(f"{called} cannot be read ({error}); mend or convert it") from None
+    if what == "mesh" and not (
+        isinstance(loaded, trimesh.Trimesh) and len(loaded.faces) and len(loaded.vertices)
+    ):
+        raise InputError(f"{called} has no faces; points alone are a point_cloud")
+    return loaded
+
+
+def points_from_file(path: str | Path) -> np.ndarray:
+    """Points `[K, 3]` of a .npy, .npz (`points`, or its one array), .pcd or .ply file.
+
+    Points with NaN, by which depth cameras say that they saw nothing, are left out.
+
+    Raises:
+        InputError: no such file, or none that holds points.
+    """
+    file = Path(path)
+    called = f"file of points {str(path)!r}"
+    if not file.is_file():
+        raise InputError(f"no {called}; check the path")
+    ending = file.suffix.lower()
+    if ending == ".pcd":
+        points = _read_pcd(file, called)
+    elif ending == ".npy":
+        try:
+            points = np.load(file, allow_pickle=False)
+        except (ValueError, OSError, EOFError) as error:
+            raise InputError(f"{called} cannot be read ({error}); save it by numpy.save") from None
+    elif ending == ".npz":
+        arrays = read_arrays(file)
+        if "points" not in arrays and len(arrays) != 1:
+            raise InputError(f"{called} holds {sorted(arrays)}; name one of these `points`")
+        points = arrays.get("points", next(iter(arrays.values())))
+    elif ending == ".ply":
+        points = np.asarray(getattr(_by_trimesh(file, called, "points"), "vertices", ()))
+    else:
+        raise InputError(f"{called} is none of .npy, .npz, .pcd and .ply; convert it")
+    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
+        raise InputError(f"{called} holds {points.dtype} {points.shape}; give numbers [K, 3]")
+    return points[~np.isnan(points).any(axis=1)]
+
+
+def _read_pcd(file: Path, called: str) -> np.ndarray:
+    """x, y and z of a point cloud of PCL, in text or uncompressed."""
+    content = file.read_bytes()
+    header: dict[str, list[str]] = {}
+    at = 0
+    try:
+        while "DATA" not in header:
+            end = content.index(b"\n", at)
+            name, *rest = content[at:end].decode("ascii").split() or ["#"]
+            header[name] = rest
+            at = end + 1
+        fields, (count,), (form,) = header["FIELDS"], map(int, header["POINTS"]), header["DATA"]
+        repeated = list(map(int, header.get("COUNT", ["1"] * len(fields))))
+        where = [fields.index(axis) for axis in "xyz"]
+        if form == "ascii":
+            rows = np.loadtxt(content[at:].decode("ascii").splitlines(), ndmin=2)
+            begin = np.cumsum([0, *repeated])
+            return rows[:count, begin[where]]
+        if form == "binary":
+            kinds = zip(fields, header["TYPE"], header["SIZE"], repeated, strict=True)
+            record = np.dtype(
+                [(f"{i}", f"<{_TYPES[t]}{s}", n) for i, (_, t, s, n) in enumerate(kinds)]
+            )
+            rows = np.frombuffer(content, record, count, at)
+            return np.stack([rows[f"{i}"].reshape(count) for i in where], axis=1).astype(float)
+    except (ValueError, KeyError, UnicodeDecodeError) as error:
+        raise InputError(f"{called} is no PCD file ({error}); save it anew") from None
+    raise InputError(f"{called} is {form}; save it as ascii or binary")
+
+
+def scene_from_points(
+    points: Sequence | np.ndarray | str | Path,
+    radius: float = RADIUS,
+    voxel: float | None = CLOUD_VOXEL,
+) -> Scene:
+    """A scene of a `point_cloud`: an array `[K, 3]`, m, or a file for `points_from_file`."""
+    if isinstance(points, str | Path):
+        balls = point_cloud(points_from_file(points), radius, voxel, source=repr(str(points)))
+        return scene_from_shapes([], clouds=[balls], source=repr(str(points)))
+    return scene_from_shapes([], clouds=[point_cloud(points, radius, voxel)])
+
+
+def scene_from_mesh(file: str | Path, **placed: Any) -> Scene:
+    """A scene of one mesh, whose further arguments are those of `mesh`."""
+    return scene_from_shapes([], clouds=[mesh(file, **placed)], source=repr(str(file)))
+
+
+def scene_from_height_field(heights: Sequence | np.ndarray, size: Sequence, **placed: Any) -> Scene:
+    """A scene of one height field, whose further arguments are those of `height_field`."""
+    return scene_from_shapes([], clouds=[height_field(heights, size, **placed)])
