@@ -15,11 +15,13 @@ _LARGE = 100.0  # times its longest link
 def doubtful_units(robot: Robot, scene: Scene) -> str | None:
     """What is odd about the sizes of one scene; None where nothing is.
 
-    Half-spaces, which have no size, count for nothing.
+    Half-spaces, which have no size, count for nothing. A cloud out of reach is warned of when it is
+    made; one within is a sign that all is in metres.
     """
     half_extents = np.asarray(scene.half_extents, float)
     chosen = np.asarray(scene.mask) & ~(half_extents == HALF_SPACE).all(axis=1)
-    if not chosen.any():
+    cloud = scene.cloud
+    if not chosen.any() or (cloud is not None and cloud.num):
         return None
     disc, ball = np.asarray(scene.radii, float)[chosen].T
     sizes = half_extents[chosen] + disc[:, None] * [1, 1, 0]
