@@ -245,25 +245,49 @@ def test_a_nameless_body_of_the_world_is_not_the_robots(tmp_path):
         scene_from_mjcf(written(tmp_path, TABLE), robot=robot)
 
 
-@pytest.mark.parametrize(
-    ("kind", "attributes"),
-    [
-        ("mesh", 'mesh="tetra"'),
-        ("ellipsoid", 'size="0.1 0.2 0.3"'),
-        ("hfield", 'hfield="hills"'),
-    ],
-)
-def test_geoms_that_are_not_read_are_refused_by_name(tmp_path, kind, attributes):
-    text = f"""
+def test_meshes_and_height_fields_are_enclosed_where_they_stand(tmp_path):
+    text = """
     <mujoco>
       <asset>
-        <mesh name="tetra" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
-        <hfield name="hills" nrow="2" ncol="2" size="1 1 1 1"/>
+        <mesh name="tetra" vertex="0 0 0 0.3 0 0 0 0.2 0 0 0 0.4"/>
+        <hfield name="hills" nrow="2" ncol="3" size="0.2 0.1 0.3 0.1" elevation="0 1 0 0 0.5 1"/>
       </asset>
-      <worldbody><body name="thing"><geom name="odd" type="{kind}" {attributes}/></body></worldbody>
+      <worldbody>
+        <body name="thing" pos="0.5 0.1 0.2" euler="0 0 90">
+          <geom type="mesh" mesh="tetra" pos="0 0 0.1"/>
+        </body>
+        <geom type="hfield" hfield="hills" pos="-0.6 0 0.1"/>
+      </worldbody>
     </mujoco>"""
+    scene = scene_from_mjcf(written(tmp_path, text))
+    assert scene.cloud is not None
+    points = scene.cloud.points[: scene.cloud.num]
+    radius = float(scene.cloud.radius)
+    # Turned about z, x is where y was: corners of the tetrahedron, and of the field and its base.
+    tetra = np.add([[0, 0, 0], [0, 0.3, 0], [-0.2, 0, 0], [0, 0, 0.4]], [0.5, 0.1, 0.3])
+    heights = [[0, 0.15, 0.3], [0, 0.3, 0]]  # MuJoCo's files have the farthest row first
+    field = [
+        [x - 0.6, y, z + 0.1]
+        for y, row in zip((-0.1, 0.1), heights, strict=True)
+        for x, height in zip((-0.2, 0, 0.2), row, strict=True)
+        for z in (height, -0.1)
+    ]
+    apart = np.linalg.norm(points - np.array([*tetra, *field])[:, None], axis=2).min(axis=1)
+    assert (apart <= radius).all()
+    low, high = tetra.min(axis=0) - 0.01, tetra.max(axis=0) + 0.01
+    mine = points[points[:, 0] > 0]
+    assert ((mine >= low) & (mine <= high)).all()
+    # Of the corner that is farthest from the slanted face, nothing is covered on its other side.
+    assert (((mine - tetra[0]) / [-0.2, 0.3, 0.4]).sum(axis=1) < 1.08).all()
+    beside = points[points[:, 0] < 0]
+    assert ((beside >= [-0.81, -0.11, -0.01]) & (beside <= [-0.39, 0.11, 0.41])).all()
+
+
+def test_geoms_that_are_not_read_are_refused_by_name(tmp_path):
+    geom = '<geom name="odd" type="ellipsoid" size="0.1 0.2 0.3"/>'
+    text = f'<mujoco><worldbody><body name="thing">{geom}</body></worldbody></mujoco>'
     path = written(tmp_path, text)
-    fault = f"geom odd .of body thing. .* is of the type {kind}, which is not read; enclose it"
+    fault = "geom odd .of body thing. .* is of the type ellipsoid, which is not read; enclose it"
     with pytest.raises(InputError, match=fault):
         scene_from_mjcf(path)
     assert not scene_from_mjcf(path, ignore=["odd"]).mask.any()

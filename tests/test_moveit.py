@@ -214,6 +214,38 @@ TABLE = ("world", "collision_objects", 1)
 POSE = {"position": [0, 0, 0], "orientation": [0, 0, 0, 1]}
 
 
+def test_meshes_are_enclosed_where_they_stand(tmp_path, message):
+    corners = [[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0, 0, 0.2]]
+    vertices = [dict(zip("xyz", corner, strict=True)) for corner in corners]
+    triangles = [{"vertex_indices": x} for x in ([0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3])]
+    thing = message["world"]["collision_objects"][0]
+    thing["meshes"] = [{"vertices": vertices, "triangles": triangles}]
+    # Turned by 180 degrees about z.
+    thing["mesh_poses"] = [{"position": [0.5, 0, 0.1], "orientation": [0, 0, 1, 0]}]
+    scene, before = read(tmp_path, message), read(tmp_path, yaml.safe_load(SCENE))
+    assert before.cloud is None
+    assert scene.mask.sum() == before.mask.sum()
+    assert scene.cloud is not None
+    points = scene.cloud.points[: scene.cloud.num]
+    # The frame of what else the object has, without the mesh's own pose.
+    thing["meshes"], thing["mesh_poses"] = [], []
+    thing["primitives"], thing["primitive_poses"] = (
+        [{"type": "sphere", "dimensions": [0.01]}] * 4,
+        [{"position": [0.5 - x, -y, 0.1 + z], "orientation": [0, 0, 0, 1]} for x, y, z in corners],
+    )
+    spheres = read(tmp_path, message)
+    expected = spheres.centers[spheres.mask & (np.abs(spheres.radii[:, 1] - 0.01) < 1e-6)]
+    assert len(expected) == 4
+    apart = np.linalg.norm(points - expected[:, None], axis=2).min(axis=1)
+    assert (apart <= scene.cloud.radius + 1e-6).all()
+    assert (points >= expected.min(axis=0) - 0.01).all()
+    assert (points <= expected.max(axis=0) + 0.01).all()
+    thing["meshes"] = [{"vertices": vertices, "triangles": [{"vertex_indices": [0, 1, 4]}]}]
+    thing["mesh_poses"] = thing["primitive_poses"][:1]
+    with pytest.raises(InputError, match=r"triangle 0 of .* are \[0, 1, 4\]; there are 4 vertices"):
+        read(tmp_path, message)
+
+
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
@@ -233,9 +265,9 @@ POSE = {"position": [0, 0, 0], "orientation": [0, 0, 0, 1]}
         (put(*FIRST, "primitive_poses", 0, "orientation", [0, 0, 1]), "list of 4 finite numbers"),
         (put(*FIRST, "primitive_poses", 0, "orientation", [0] * 4), "zeros; give a rotation"),
         (put(*FIRST, "primitives", [{"type": "box", "dimensions": [1e5] * 3}]), "below 10000 m"),
-        (put(*FIRST, "meshes", [{"vertices": []}]), "object 'can' of .* has a mesh"),
+        (put(*FIRST, "meshes", [{"vertices": []}]), "has 0 mesh_poses for 1 meshes; give each one"),
         (put(*FIRST, "primitives", []), "1 primitive_poses for 0 primitives"),
-        (put(*FIRST, {"id": "nothing"}), "object 'nothing' .* no primitives and no planes"),
+        (put(*FIRST, {"id": "nothing"}), "object 'nothing' .* no primitives, planes or meshes"),
         (put(*FIRST, "planes", [{"coef": [0, 0, 0, 1]}]), "0 plane_poses for 1 planes"),
         (put(*FIRST, "operation", "move"), "operation 'move'"),
         (put(*FIRST, "operation", 1), "operation 1"),

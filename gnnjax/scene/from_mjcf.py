@@ -5,13 +5,16 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from gnnjax.arm.mjcf import collision_geoms, without_warnings
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
-from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved
+from gnnjax.scene.cloud import Balls
+from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved, moved_points
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import Shape, box, capsule, cylinder, half_space, sphere
+from gnnjax.scene.surfaces import enclosed, height_field
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _ORIGIN = np.zeros(3)
@@ -24,6 +27,29 @@ _SHAPES: dict[int, Callable[[np.ndarray], Shape]] = {
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): lambda size: cylinder(_ORIGIN, size[0], size[1]),
     int(mujoco.mjtGeom.mjGEOM_BOX): lambda size: box(_ORIGIN, size),
 }
+
+
+def _hull(model: mujoco.MjModel, number: int, pose: Pose, called: str) -> Balls:
+    """The convex hull of a mesh, which is what MuJoCo collides."""
+    first, num = model.mesh_vertadr[number], model.mesh_vertnum[number]
+    vertices = moved_points(model.mesh_vert[first : first + num].astype(float), pose)
+    return enclosed(vertices, ConvexHull(vertices).simplices, source=called)
+
+
+def _height_field(model: mujoco.MjModel, number: int, pose: Pose, called: str) -> Balls:
+    half_x, half_y, height, below = model.hfield_size[number]
+    rows, columns = model.hfield_nrow[number], model.hfield_ncol[number]
+    first = model.hfield_adr[number]
+    heights = height * model.hfield_data[first : first + rows * columns].reshape(rows, columns)
+    depth = below + heights.min()
+    return height_field(heights, (2 * half_x, 2 * half_y), *pose, depth=float(depth))
+
+
+# What is enclosed by balls, by its number among the model's meshes or height fields.
+_CLOUDS: dict[int, Callable[[mujoco.MjModel, int, Pose, str], Balls]] = {
+    int(mujoco.mjtGeom.mjGEOM_MESH): _hull,
+    int(mujoco.mjtGeom.mjGEOM_HFIELD): _height_field,
+}
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _SAME = 1e-6  # m; where a geom of two models is the same
 
@@ -35,7 +61,11 @@ def scene_from_mjcf(
     ignore: Collection[str] = (),
     keyframe: str | None = None,
 ) -> Scene:
-    """Reads the obstacles of a MuJoCo model: boxes, spheres, capsules, cylinders and planes.
+    """Reads the obstacles of a MuJoCo model: boxes, spheres, capsules, cylinders, planes, meshes
+    and height fields.
+
+    Of a mesh it is the convex hull, as in MuJoCo, and it is enclosed as by `mesh`, like a height
+    field.
 
     Every geom with `contype` or `conaffinity`, or in an explicit pair, is an obstacle, unless it is
     the robot's or ignored. Bodies stand where the model's own pose or a keyframe has them, those
@@ -94,8 +124,18 @@ def scene_from_mjcf(
             )
         found.append((g, pose))
     # Only now, as meshes may be those of a robot that was not named.
-    shapes = [moved(_shape(model, g, called), pose) for g, pose in found]
-    return scene_from_shapes(shapes, source=called)
+    shapes, clouds = [], []
+    for g, pose in found:
+        kind = int(model.geom_type[g])
+        if kind in _CLOUDS:
+            clouds.append(
+                _CLOUDS[kind](
+                    model, int(model.geom_dataid[g]), pose, f"{_name(model, g)} of {called}"
+                )
+            )
+        else:
+            shapes.append(moved(_shape(model, g, called), pose))
+    return scene_from_shapes(shapes, clouds=clouds, source=called)
 
 
 def mjcf_holds(path: str | Path, robot: Robot) -> bool:
@@ -224,14 +264,17 @@ def _pose_of_geom(data: mujoco.MjData, g: int) -> Pose:
     return Pose(data.geom_xpos[g].copy(), quat)
 
 
+def _name(model: mujoco.MjModel, g: int) -> str:
+    body = int(model.geom_bodyid[g])
+    return f"geom {model.geom(g).name or g} (of body {model.body(body).name or body})"
+
+
 def _shape(model: mujoco.MjModel, g: int, called: str) -> Shape:
     kind = int(model.geom_type[g])
     if kind not in _SHAPES:
-        body = int(model.geom_bodyid[g])
-        named = f"geom {model.geom(g).name or g} (of body {model.body(body).name or body})"
         word = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
         raise InputError(
-            f"{named} of {called} is of the type {word}, which is not read; enclose it in boxes, "
-            "spheres, capsules or cylinders, or name it in ignore"
+            f"{_name(model, g)} of {called} is of the type {word}, which is not read; enclose it "
+            "in boxes, spheres, capsules or cylinders, or name it in ignore"
         )
     return _SHAPES[kind](model.geom_size[g])

@@ -94,6 +94,14 @@ def _number(value: Any) -> float:
         return np.nan
 
 
+def components(value: Any, axes: str, called: str) -> np.ndarray:
+    """A vector, as a list or as fields that are called like its axes."""
+    if isinstance(value, dict):
+        fields = fields_of(value, axes, called)
+        value = [fields.get(axis) for axis in axes]
+    return numbers(value, len(axes), called)
+
+
 def pose_of(
     value: Any,
     called: str,
@@ -112,10 +120,7 @@ def pose_of(
     fields = fields_of(value, names, called)
     parts = []
     for name, axes in zip(names, ("xyz", "xyzw"), strict=True):
-        part = fields.get(name)
-        if isinstance(part, dict):
-            part = [fields_of(part, axes, f"{name} of {called}").get(axis) for axis in axes]
-        parts.append(numbers(part, len(axes), f"{name} of {called}"))
+        parts.append(components(fields.get(name), axes, f"{name} of {called}"))
     position, (x, y, z, w) = parts
     quat = np.array([w, x, y, z])
     if np.abs(quat).max() < 1e-3:

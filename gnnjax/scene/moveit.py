@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gnnjax.errors import InputError, brief
-from gnnjax.scene.messages import fields_of, list_of, numbers, pose_of, read_message
-from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved
+from gnnjax.scene.messages import components, fields_of, list_of, numbers, pose_of, read_message
+from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved, moved_points
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import Shape, box, cylinder, half_space, sphere
+from gnnjax.scene.surfaces import enclosed
 
 _SCENE = (
     "name is_diff robot_state robot_model_name fixed_frame_transforms allowed_collision_matrix "
@@ -35,25 +36,34 @@ _DIMENSIONS = {"box": (3, "x, y, z"), "sphere": (1, "radius"), "cylinder": (2, "
 _ADD = (None, 0, b"\0", "add", "ADD")  # `operation`, as the writers of such files put it
 
 
-class PlanningScene(NamedTuple):
-    """What a file holds."""
+class Surface(NamedTuple):
+    """A shape_msgs/Mesh."""
 
-    shapes: list[Shape]  # in the planning frame
+    vertices: np.ndarray  # [V 3] m
+    faces: np.ndarray  # [F 3]
+    source: str  # how error messages call it
+
+
+class PlanningScene(NamedTuple):
+    """What a file holds, in the planning frame."""
+
+    shapes: list[Shape]
+    surfaces: list[Surface]
     base: Pose | None  # of the robot's root link there; None where the file does not say
 
 
 def scene_from_moveit(path: str | Path) -> Scene:
     """Reads a planning scene of MoveIt (moveit_msgs/PlanningScene) from YAML.
 
-    Boxes, spheres, cylinders and planes of the collision objects are read; of a plane, all that
-    lies beyond it from the base is taken. Objects are in the planning frame, or in a frame that
-    `fixed_frame_transforms` names. Where the robot state places the robot by a joint of several
-    degrees of freedom, its root link is the base that the scene is seen from; else the planning
-    frame is.
+    Boxes, spheres, cylinders, planes and meshes of the collision objects are read; of a plane, all
+    that lies beyond it from the base is taken, and meshes are enclosed as by `mesh`. Objects are in
+    the planning frame, or in a frame that `fixed_frame_transforms` names. Where the robot state
+    places the robot by a joint of several degrees of freedom, its root link is the base that the
+    scene is seen from; else the planning frame is.
 
     Raises:
-        InputError: the file is missing or no YAML; it holds meshes, cones, voxels or objects that
-            are attached to the robot; or something in it is not as the message demands.
+        InputError: the file is missing or no YAML; it holds cones, voxels or objects that are
+            attached to the robot; or something in it is not as the message demands.
     """
     return scene_of(read_planning_scene(path), f"planning scene {str(path)!r}")
 
@@ -62,7 +72,11 @@ def scene_of(found: PlanningScene, called: str) -> Scene:
     """A planning scene as the base of its robot sees it."""
     to_base = inverse(found.base or IDENTITY)
     shapes = [_beyond(moved(shape, to_base)) for shape in found.shapes]
-    return scene_from_shapes(shapes, source=called)
+    clouds = [
+        enclosed(moved_points(vertices, to_base), faces, source=source)
+        for vertices, faces, source in found.surfaces
+    ]
+    return scene_from_shapes(shapes, clouds=clouds, source=called)
 
 
 def _beyond(shape: Shape) -> Shape:
@@ -98,8 +112,10 @@ def read_planning_scene(path: str | Path) -> PlanningScene:
     objects = list_of(world, "collision_objects", called)
     frames = _frames(message, objects, called)
     state = message.get("robot_state")
-    shapes = [shape for value in objects for shape in _object(value, frames, called)]
-    return PlanningScene(shapes, base_of(state, frames, called))
+    things = [thing for value in objects for thing in _object(value, frames, called)]
+    shapes = [thing for thing in things if isinstance(thing, Shape)]
+    surfaces = [thing for thing in things if isinstance(thing, Surface)]
+    return PlanningScene(shapes, surfaces, base_of(state, frames, called))
 
 
 def _has_voxels(value: Any, called: str) -> bool:
@@ -178,7 +194,7 @@ def base_of(state: Any, frames: dict[str, Pose], called: str) -> Pose | None:
     return compose(outer, pose_of(transforms[0], inside, _TRANSFORM))
 
 
-def _object(value: Any, frames: dict[str, Pose], called: str) -> list[Shape]:
+def _object(value: Any, frames: dict[str, Pose], called: str) -> list[Shape | Surface]:
     """The obstacles of a collision object, in the planning frame."""
     fields = fields_of(value, _OBJECT, f"a collision object of {called}")
     inside = f"object {brief(fields.get('id', ''))} of {called}"
@@ -187,18 +203,15 @@ def _object(value: Any, frames: dict[str, Pose], called: str) -> list[Shape]:
             f"{inside} has the operation {brief(fields['operation'])}; a scene has objects to add "
             "alone, so give it as it is in the end"
         )
-    if list_of(fields, "meshes", inside):
-        raise InputError(
-            f"{inside} has a mesh, which is not read; enclose it in boxes, spheres or cylinders"
-        )
     outer = _placed_in(fields, frames, inside)
     placed = fields.get("pose") is not None
     if placed:
         pose = pose_of(fields["pose"], f"pose of {inside}", may_be_unset=True)
         outer = compose(outer, pose)
-    shapes = []
-    for kind, read in (("primitive", _primitive), ("plane", _plane)):
-        listed = list_of(fields, f"{kind}s", inside)
+    things = []
+    kinds = ("primitive", "primitives", _primitive), ("plane", "planes", _plane)
+    for kind, plural, read in (*kinds, ("mesh", "meshes", _mesh)):
+        listed = list_of(fields, plural, inside)
         poses = list_of(fields, f"{kind}_poses", inside)
         if placed and not poses:  # the object's is theirs, as MoveIt has it
             local = [IDENTITY] * len(listed)
@@ -206,13 +219,19 @@ def _object(value: Any, frames: dict[str, Pose], called: str) -> list[Shape]:
             local = [pose_of(x, f"{kind} {i} of {inside}") for i, x in enumerate(poses)]
         else:
             raise InputError(
-                f"{inside} has {len(poses)} {kind}_poses for {len(listed)} {kind}s; give each one"
+                f"{inside} has {len(poses)} {kind}_poses for {len(listed)} {plural}; give each one"
             )
         for i, (one, pose) in enumerate(zip(listed, local, strict=True)):
-            shapes.append(moved(read(one, f"{kind} {i} of {inside}"), compose(outer, pose)))
-    if not shapes:
-        raise InputError(f"{inside} has no primitives and no planes; give it some, or remove it")
-    return shapes
+            thing, pose = read(one, f"{kind} {i} of {inside}"), compose(outer, pose)
+            if isinstance(thing, Surface):
+                things.append(thing._replace(vertices=moved_points(thing.vertices, pose)))
+            else:
+                things.append(moved(thing, pose))
+    if not things:
+        raise InputError(
+            f"{inside} has no primitives, planes or meshes; give it some, or remove it"
+        )
+    return things
 
 
 def _primitive(value: Any, called: str) -> Shape:
@@ -236,6 +255,24 @@ def _primitive(value: Any, called: str) -> Shape:
     if kind == "sphere":
         return sphere(np.zeros(3), sizes[0])
     return cylinder(np.zeros(3), radius=sizes[1], half_length=sizes[0] / 2)
+
+
+def _mesh(value: Any, called: str) -> Surface:
+    """A shape_msgs/Mesh."""
+    fields = fields_of(value, ("triangles", "vertices"), called)
+    points = list_of(fields, "vertices", called)
+    vertices = [components(x, "xyz", f"vertex {i} of {called}") for i, x in enumerate(points)]
+    faces = []
+    for i, triangle in enumerate(list_of(fields, "triangles", called)):
+        inside = f"triangle {i} of {called}"
+        given = fields_of(triangle, ("vertex_indices",), inside).get("vertex_indices")
+        corners = numbers(given, 3, f"vertex_indices of {inside}")
+        if not all(x in range(len(vertices)) for x in corners):
+            raise InputError(
+                f"vertex_indices of {inside} are {brief(given)}; there are {len(vertices)} vertices"
+            )
+        faces.append(corners.astype(int))
+    return Surface(np.reshape(vertices, (-1, 3)), np.reshape(faces, (-1, 3)).astype(int), called)
 
 
 def _plane(value: Any, called: str) -> Shape:

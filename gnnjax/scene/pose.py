@@ -46,6 +46,13 @@ def _turned(pose: Pose, quat: np.ndarray) -> np.ndarray:
     return compose(pose, Pose(np.zeros(3), quat)).quat
 
 
+def moved_points(points: np.ndarray, pose: Pose) -> np.ndarray:
+    """Points `[K, 3]` given in `pose`'s frame, as the frame sees them that `pose` is given in."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, pose.quat)
+    return points @ rotation.reshape(3, 3).T + pose.position
+
+
 _PLACED = {"center": _point, "quat": _turned}
 # What of an obstacle depends on the frame, and how.
 _MOVES = for_every_kind(
