@@ -1,5 +1,5 @@
 """Two trees of free motions, from start and goal, until they meet: RRT-Connect (Kuffner and
-LaValle, 2000), with some branches at once and for many problems in step.
+LaValle, 2000), with many branches at once and for many problems in step.
 
 What is left to problems that roadmaps do not solve: it asks no guide, needs many checks, and finds
 its way out of narrow places step by step. What a problem's trees are does not depend on the others.
@@ -11,8 +11,8 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.sequences import Items, PlacedScenes, SequenceTester
 from gnnjax.planning.progress import Progress
 
-MOST_ROUNDS = 400  # at effort 1
-_BRANCHES = 8  # of a tree in a round, and as many of the other towards their tips
+MOST_ROUNDS = 50  # at effort 1
+_BRANCHES = 64  # of a tree in a round, and as many of the other towards their tips
 _STEP = 0.5  # configuration units of a branch's edges
 _LONGEST = 2, 16  # edges of a branch, of the first tree and the other
 
