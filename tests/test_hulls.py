@@ -1,5 +1,6 @@
 """Parts as they are: what spheres leave open, against MuJoCo's C engine."""
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -7,8 +8,10 @@ import pytest
 from experiments.engine import Engine
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, clearances
+from gnnjax.collision.checker import make_checker
+from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.scene.mujoco_world import deepest_contact
-from gnnjax.scene.scene import Scene, scene_from_shapes
+from gnnjax.scene.scene import Scene, scene_from_shapes, stack_scenes
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
 
 # Links of all kinds that are no spheres, and two that can reach the first.
@@ -116,6 +119,34 @@ def test_what_touches_is_refused_and_what_is_free_by_three_millimetres_is_not(cr
             assert deepest_contact(crane, scene, at).depth > 0
     assert num > 100
     assert refused_by_spheres > 20
+
+
+def test_flat_tests_among_more_obstacles_than_a_word_has_bits(crane):
+    rng = np.random.default_rng(2)
+    scenes, drawn = [], []
+    for _ in range(2):
+        # Of one kind, so that they stay in order; the last ones are the only ones in reach.
+        far = [box([5.0 + i, 0, 0], [0.1, 0.1, 0.1]) for i in range(34)]
+        centers = rng.normal(size=(6, 3))
+        centers *= rng.uniform(0.3, 0.8, (6, 1)) / np.linalg.norm(centers, axis=1, keepdims=True)
+        near = [box(c, rng.uniform(0.04, 0.15, 3), rng.normal(size=4)) for c in centers]
+        scenes.append(scene_from_shapes([*far, *near]))
+        drawn.append(near_contact(rng, crane, scenes[-1], 60))
+    tester = SequenceTester(crane, make_checker(crane), 0.05)
+    placed = tester.place(stack_scenes(scenes))
+    q = np.concatenate(drawn).astype(np.float32)
+    owner, sequence = np.repeat([0, 1], [len(x) for x in drawn]), np.arange(len(q))
+    free = ~tester(placed, Items(sequence, owner, q, q, np.zeros(len(q), bool)), len(q)).refuted
+    found = zip(scenes, (q[owner == i] for i in (0, 1)), strict=True)
+    apart = np.concatenate([least_distance(crane, *pair) for pair in found])
+    assert not (free & (apart < -1e-5)).any()
+    assert not (~free & (apart > 3e-3)).any()
+    assert 20 < free.sum() < len(q) - 20
+    # Spheres alone would have refused some of these.
+    first = make_checker(crane).levels.first
+    words = np.asarray(jax.jit(first)(placed.scenes, owner.astype(np.int32), q[:, None]))[:, 0]
+    assert (free & (words > 0)).sum() > 5
+    assert (~free & (words < 1 << 30) & (words > 0)).sum() > 5
 
 
 def test_edges_that_graze_are_certified_and_none_of_them_collides(crane):
