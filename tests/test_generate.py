@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import jax
 import numpy as np
 import pytest
 from kill_commands import numbered_problems, plain_keys
@@ -77,7 +78,7 @@ def test_problems_are_valid_and_labels_exact(labelled):
         nodes = data.roadmap.nodes[i]
         np.testing.assert_array_equal(nodes[0], data.problem.start[i])
         np.testing.assert_array_equal(nodes[1], data.problem.goal[i])
-        scene = type(data.problem.scene)(*(x[i] for x in data.problem.scene))
+        scene = jax.tree.map(lambda x, i=i: x[i], data.problem.scene)
         mask = data.roadmap.node_mask[i]
         assert mask.sum() == 24
         for q in nodes[mask]:
