@@ -28,6 +28,9 @@ _TITLES = {
     "window": "window: through the wall",
     "clutter": "clutter: blocks, pillars, plates",
     "bin": "bin: in or out",
+    "cans": "cans: gap to gap, or out",
+    "pipes": "pipes: among them",
+    "cloud_shelf": "cloud_shelf: what a camera sees of a shelf",
 }
 _START, _GOAL = (0.25, 0.45, 0.85, 1.0), (0.85, 0.3, 0.25, 1.0)
 
@@ -45,15 +48,15 @@ class DrawConfig:
 
 
 def draw_families(config: DrawConfig) -> None:
-    """Renders six panels with MuJoCo, and writes them as one picture."""
+    """Renders a panel a family with MuJoCo, and writes them as one picture."""
     robot = load_robot(config.robot)
-    figure = Figure(figsize=(9, 6.4), layout="constrained")
+    figure = Figure(figsize=(9, 9.6), layout="constrained")
     for place, (family, title) in enumerate(_TITLES.items(), start=1):
         keys = problem_keys(0, "test", config.index, 1, family)
         drawn = generate_labelled(robot, 0, family=family)(keys)
         assert isinstance(drawn, Problem)
         problem = jax.tree.map(lambda x: np.asarray(x[0]), drawn)
-        axes = figure.add_subplot(2, 3, place)
+        axes = figure.add_subplot(3, 3, place)
         axes.imshow(_render(robot, problem, on_one_side=family in FAMILIES))
         axes.set_title(title, fontsize=9)
         axes.axis("off")
@@ -63,7 +66,7 @@ def draw_families(config: DrawConfig) -> None:
 def _render(robot: Robot, problem: Problem, on_one_side: bool) -> np.ndarray:
     """The scene with the arm at start and at goal, looked at past the arm."""
     scene = problem.scene
-    model = build_world(robot, len(scene.mask))
+    model = build_world(robot, len(scene.mask), scene.cloud)
     data = mujoco.MjData(model)
     place_boxes(model, data, scene)
     model.geom_rgba[obstacles(model, len(scene.mask)).geoms, 3] = 0.45
@@ -73,7 +76,10 @@ def _render(robot: Robot, problem: Problem, on_one_side: bool) -> np.ndarray:
     model.vis.headlight.ambient[:] = 0.35
     option = mujoco.MjvOption()
     option.geomgroup[:] = 1
-    middle = scene.centers[scene.mask].mean(axis=0)
+    places = scene.centers[scene.mask]
+    if scene.cloud is not None:
+        places = np.concatenate([places, scene.cloud.points[: scene.cloud.num]])
+    middle = places.mean(axis=0)
     camera = mujoco.MjvCamera()
     camera.lookat[:] = [0.4 * middle[0], 0.4 * middle[1], 0.55]
     camera.distance, camera.elevation = 3.0, -28

@@ -41,7 +41,7 @@ from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError
 from gnnjax.planning.options import make_options
 from gnnjax.planning.planner import own_planner
-from gnnjax.problems.families import FAMILIES
+from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import pad_scene
@@ -59,7 +59,7 @@ class GuidesConfig(ExperimentConfig):
     """Of a problem's first roadmap."""
     num_problems: int = 300
     """Problems of the test set."""
-    families: tuple[str, ...] = tuple(FAMILIES)
+    families: tuple[str, ...] = BOX_FAMILIES
     """Families of hard scenes."""
     family_problems: int = 20
     """Problems of each family."""
@@ -281,7 +281,7 @@ EXPERIMENT = Experiment(
         "guides": ("length", "field"),
         "num_nodes": 30,
         "num_problems": 3,
-        "families": tuple(FAMILIES)[-1:],
+        "families": ("bin",),
         "family_problems": 2,
         "scenes": 2,
     },

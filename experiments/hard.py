@@ -34,7 +34,7 @@ from experiments.strata import BOXES, CLEARANCES, LINES, strata
 from experiments.style import draw_bars, label
 from experiments.tables import SETS, cell, markdown, span
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.problems.families import FAMILIES
+from gnnjax.problems.families import BOX_FAMILIES
 
 PLANNERS = (
     *("guided", "gnn", "gnn_lazy", "distance", "lazysp", "oracle", "prm"),
@@ -54,7 +54,7 @@ class HardConfig(ExperimentConfig):
     """Nodes of a roadmap."""
     num_problems: int = 300
     """Problems of each set of Figure 5."""
-    families: tuple[str, ...] = tuple(FAMILIES)
+    families: tuple[str, ...] = (*BOX_FAMILIES, "cans", "pipes")
     """Families of scenes."""
     family_problems: int = 50
     """Problems of each family."""
@@ -235,7 +235,7 @@ EXPERIMENT = Experiment(
     quick={
         "num_nodes": 30,
         "num_problems": 3,
-        "families": tuple(FAMILIES)[-1:],
+        "families": ("bin",),
         "family_problems": 2,
         # Scenes of their own kind are compiled anew for each planner.
         "family_planners": ("guided", "ompl:rrt_connect"),

@@ -27,10 +27,12 @@ from gnnjax.roadmap.graph import Roadmap, connect, default_radius
 from gnnjax.roadmap.paths import cost_to_go, edge_validity
 from gnnjax.roadmap.sampled import Samples, sample_free, sample_roadmap
 from gnnjax.roadmap.stored import stored_roadmap
+from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.cloud import Balls, Cloud, point_cloud
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.moveit import scene_from_moveit
 from gnnjax.scene.scene import (
+    Allowed,
     Scene,
     make_scene,
     pad_scene,
@@ -54,6 +56,7 @@ from gnnjax.search.lazy import lazy_search
 from gnnjax.training.weights import load_network, save_network
 
 __all__ = [
+    "Allowed",
     "Balls",
     "Checker",
     "Cloud",
@@ -77,6 +80,7 @@ __all__ = [
     "SearchResult",
     "Shape",
     "Strategy",
+    "allow_contacts",
     "box",
     "boxes_clear",
     "capsule",

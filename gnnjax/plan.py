@@ -49,9 +49,9 @@ def main(config: PlanConfig) -> int:
     # All that can be refused is refused before planning, which may take a minute.
     check_target(config.out)
     robot = load_robot(config.robot)
-    start, goal, scene = _read(config, robot)
     if config.attach is not None:
         robot = attach_from_json(robot, config.attach)
+    start, goal, scene = _read(config, robot)
     planner = own_planner(robot, config)
     draw = None
     if config.image is not None:

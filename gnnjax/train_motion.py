@@ -25,7 +25,7 @@ from gnnjax.devices import cache_compilations, map_first
 from gnnjax.errors import InputError, run_command
 from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
-from gnnjax.problems.families import FAMILIES
+from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.problems.family_problem import draw_family_scene
 from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
 from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
@@ -90,8 +90,8 @@ def scene_sampler(robot: Robot) -> Callable[[jax.Array], Scene]:
         scene = scene._replace(mask=scene.mask & clear(scene, base_only=True))
         return pad_boxes(scene, _MAX_BOXES)
 
-    kinds = [paper, *(functools.partial(family, name) for name in FAMILIES)]
-    shares = [_PAPER_SHARE] + [(1 - _PAPER_SHARE) / len(FAMILIES)] * len(FAMILIES)
+    kinds = [paper, *(functools.partial(family, name) for name in BOX_FAMILIES)]
+    shares = [_PAPER_SHARE] + [(1 - _PAPER_SHARE) / len(BOX_FAMILIES)] * len(BOX_FAMILIES)
 
     def sample(key: jax.Array) -> Scene:
         kind_key, scene_key = jax.random.split(key)

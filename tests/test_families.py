@@ -14,14 +14,18 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import configuration_clearance
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.obstacles import scene_faults
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.problems import family_problem, labelled
+from gnnjax.problems.camera import HEIGHT, WIDTH, look_at
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import arm_reach, sample_family_problem
 from gnnjax.problems.labelled import problem_keys
 from gnnjax.problems.shards import load_problems, read_manifest
-from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned
+from gnnjax.scene.cloud import Balls, cloud_of, lookup, make_cloud, squared_distance_to
+from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned, make_scene
+from gnnjax.scene.shapes import KINDS, kind_of
 
 NUM_BOXES = {
     "shelf": (6, 8),
@@ -29,6 +33,14 @@ NUM_BOXES = {
     "window": (4, 4),
     "clutter": (10, 20),
     "bin": (5, 5),
+    "cans": (6, 31),
+    "pipes": (8, 14),
+    "cloud_shelf": (0, 0),
+}
+KINDS_OF = {
+    "cans": {KINDS.index("box"), KINDS.index("cylinder")},
+    "pipes": {KINDS.index("capsule"), KINDS.index("cylinder")},
+    "cloud_shelf": set(),
 }
 
 
@@ -67,15 +79,20 @@ def inside(region, point):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_scenes_fill_a_bucket_with_turned_boxes_of_positive_size(family):
+def test_scenes_fill_a_bucket_with_turned_obstacles_of_positive_size(family):
     drawn = many_scenes(family)
     scene = drawn.scene
     assert scene.mask.shape[1] in BOX_BUCKETS
     counts = scene.mask.sum(axis=1)
-    assert (counts.min(), counts.max()) == NUM_BOXES[family]
-    assert (scene.half_extents > 0).all()
+    low, high = NUM_BOXES[family]
+    assert counts.min() >= low
+    assert counts.max() <= high
+    if family != "cans":  # whose numbers are of many throws of a coin
+        assert (counts.min(), counts.max()) == (low, high)
+    assert scene_faults(scene) == [None] * 200
+    assert set(kind_of(scene.half_extents, scene.radii)[scene.mask]) == KINDS_OF.get(family, {0})
     np.testing.assert_allclose(np.linalg.norm(scene.quats, axis=-1), 1, atol=1e-5)
-    assert not is_axis_aligned(scene)
+    assert (drawn.seen is not None) == (family == "cloud_shelf") == is_axis_aligned(scene)
     for region in (drawn.start, drawn.goal):
         assert (region.half_extents > 0).all()
 
@@ -102,6 +119,89 @@ def test_a_batch_equals_single_draws(tiny_path):
     batch = jax.jit(jax.vmap(draw))(keys)
     for many, one in zip(jax.tree.leaves(batch), jax.tree.leaves(single(keys[1])), strict=True):
         np.testing.assert_allclose(many[1], one, atol=1e-5)
+
+
+def test_what_stands_on_boards_stands_there_and_ends_are_in_empty_cells():
+    drawn = many_scenes("cans")
+    for i in range(200):
+        scene = jax.tree.map(lambda x, i=i: x[i], drawn.scene)
+        round_ones = np.flatnonzero(scene.mask & (scene.radii[:, 0] > 0))
+        turn = Rotation.from_quat(scene.quats[0], scalar_first=True)
+        ends = [jax.tree.map(lambda x, i=i: x[i], end) for end in (drawn.start, drawn.goal)]
+        tops = scene.centers[3:7, 2] + scene.half_extents[3:7, 2]
+        for k in round_ones:
+            bottom = scene.centers[k, 2] - scene.half_extents[k, 2]
+            tops_below = [
+                *tops,
+                *(scene.centers[round_ones, 2] + scene.half_extents[round_ones, 2]),
+            ]
+            assert np.abs(bottom - np.array(tops_below)).min() < 1e-5
+            for end in ends:
+                if end.half_extents.max() > 0.9:
+                    continue  # anywhere outside
+                away = np.abs(turn.inv().apply(scene.centers[k] - end.center))
+                assert (away > end.half_extents)[[1, 2]].any()
+
+
+def test_pipes_keep_away_from_the_middle_and_none_is_like_another():
+    scene = many_scenes("pipes").scene
+    axes = Rotation.from_quat(scene.quats[scene.mask], scalar_first=True).apply([0, 0, 1])
+    centers = scene.centers[scene.mask]
+    np.testing.assert_allclose((axes * centers).sum(axis=1), 0, atol=1e-5)
+    assert (np.linalg.norm(centers, axis=1) > 0.34).all()
+    assert 0.4 < (scene.radii[scene.mask][:, 1] > 0).mean() < 0.6
+
+
+def test_the_camera_sees_what_mujocos_rays_hit():
+    rng = np.random.default_rng(0)
+    centers, sizes = rng.uniform(-0.5, 0.5, (5, 3)), rng.uniform(0.05, 0.25, (5, 3))
+    scene = make_scene(centers, sizes, rng.normal(size=(5, 4)))
+    camera, target = np.float32([1.1, -0.6, 0.8]), np.float32([0.1, 0.05, 0.0])
+    seen = jax.jit(look_at)(jax.tree.map(jnp.asarray, scene), camera, target)
+    spec = mujoco.MjSpec()
+    for center, size, quat in zip(
+        scene.centers[:5], scene.half_extents[:5], scene.quats[:5], strict=True
+    ):
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=center, size=size, quat=quat)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    hit = np.isfinite(seen).all(axis=1)
+    assert 500 < hit.sum() < 2500
+    group, geom = np.ones(6, np.uint8), np.zeros(1, np.int32)
+    for point in np.asarray(seen, float)[hit]:
+        ray = (point - camera) / np.linalg.norm(point - camera)
+        found = mujoco.mj_ray(model, data, camera.astype(float), ray, group, 1, -1, geom, None)
+        assert found == pytest.approx(np.linalg.norm(point - camera), abs=1e-4)
+    # A picture of what is missed: the rays go on from left to right, and from top to bottom.
+    picture = hit.reshape(HEIGHT, WIDTH)
+    assert picture.any(axis=0).sum() > 20
+    assert picture.any(axis=1).sum() > 20
+    forward = (target - camera) / np.linalg.norm(target - camera)
+    found = mujoco.mj_ray(model, data, camera.astype(float), forward, group, 1, -1, geom, None)
+    near = np.asarray(seen)[hit] - camera
+    assert np.abs(near @ forward / np.linalg.norm(near, axis=1)).max() > 0.999
+    assert found > 0
+
+
+def test_a_cloud_made_in_a_compiled_function_is_that_made_outside():
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-0.6, 0.9, (300, 3)).astype(np.float32)
+    points[rng.uniform(size=300) < 0.3, 1] = np.nan
+    found = jax.tree.map(np.asarray, jax.jit(functools.partial(cloud_of, radius=0.02))(points))
+    kept = points[np.isfinite(points).all(axis=1)]
+    wanted = make_cloud([Balls(kept, 0.02)])
+    assert found.num == wanted.num
+    np.testing.assert_array_equal(found.points[: found.num], kept)
+    assert not found.points[found.num :].any()
+    for name in ("radius", "lower", "cells", "squared"):
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), atol=1e-6)
+    nothing = jax.jit(functools.partial(cloud_of, radius=0.02))(
+        np.full((10, 3), np.nan, np.float32)
+    )
+    assert int(nothing.num) == 0
+    at = [jnp.float32([0.0, 0.5]), jnp.zeros(2), jnp.zeros(2)]
+    assert (squared_distance_to(lookup(nothing), at) > 1.0).all()
 
 
 def test_only_the_window_leads_through_its_wall():

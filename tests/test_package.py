@@ -38,8 +38,8 @@ ORDER = """
 interruption errors files devices
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
-scene.shapes scene.cloud scene.scene scene.surfaces scene.units scene.scene_file scene.geometry
-scene.field scene.mujoco_world
+scene.shapes scene.cloud scene.scene scene.allowed scene.surfaces scene.units scene.scene_file
+scene.geometry scene.field scene.mujoco_world
 scene.pose scene.held scene.holding scene.messages scene.moveit scene.from_mjcf scene.any_file
 collision.spheres collision.simplex collision.convex collision.exact collision.components
 collision.fused collision.mjx collision.cloud collision.checker collision.sequences
@@ -47,8 +47,8 @@ collision.obstacles collision.hulls collision.bounds collision.gaps collision.ce
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten
-problems.problem problems.file problems.shards problems.families problems.family_problem
-problems.labelled problems.moveit
+problems.problem problems.file problems.shards problems.camera problems.families
+problems.family_problem problems.labelled problems.moveit
 planning.options planning.query planning.clock planning.progress planning.strategy
 planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
 planning.engine planning.planner

@@ -38,7 +38,7 @@ def test_every_consumer_has_all_kinds_and_could_not_do_without_one(consumer, mod
 _WITHOUT_CLOUDS = {
     "collision/mjx.py",  # `collision/cloud.py` adds them to every backend's tests
     "collision/spheres.py",
-    "problems/family_problem.py",  # draws scenes that have none
+    "problems/camera.py",  # sees boxes, for a family that has nothing else
 }
 
 

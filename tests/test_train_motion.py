@@ -13,7 +13,7 @@ import gnnjax.train_motion
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.guide.motion import MotionNetwork
-from gnnjax.problems.families import FAMILIES
+from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.train_motion import (
     TrainMotionConfig,
     area_under_curve,
@@ -38,7 +38,7 @@ def compiled_once():
         def make_once(robot, config, *rest):
             key = robot, dataclasses.replace(config, out=Path(), resume=False), *rest
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(gnnjax.train_motion, "FAMILIES", tuple(FAMILIES)[-1:])
+                patch.setattr(gnnjax.train_motion, "BOX_FAMILIES", BOX_FAMILIES[-1:])
                 return made.setdefault(key, make(robot, config, *rest))
 
         return make_once

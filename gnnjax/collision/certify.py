@@ -12,6 +12,7 @@ from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
 from gnnjax.collision.obstacles import Obstacles, obstacles_of
 from gnnjax.errors import InputError, brief
+from gnnjax.scene.allowed import check_allowed
 from gnnjax.scene.scene import Scene, inflated, make_scene
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
@@ -24,7 +25,8 @@ _MILLIMETER = 1e-3  # m; how finely `proven_clearance` looks
 
 
 def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
-    """Proves that a path is free of collisions, boxes and the arm itself, along its whole length.
+    """Proves that a path is free of collisions, boxes and the arm itself, along its whole length,
+    but for contacts that are meant (`allow_contacts`).
 
     The path is cut into pieces. A piece is free when, at its middle, every collision geom is
     farther from everything else than any of its points can move until the piece's ends; otherwise
@@ -105,7 +107,7 @@ def certify_edges(
     if len(starts) != len(ends):
         raise InputError(f"{len(starts)} starts and {len(ends)} ends; give one of each an edge")
     owner = _owners(scene, owner, len(starts))
-    obstacles = obstacles_of(scene)
+    obstacles = _obstacles(robot, scene)
     certified = _within_limits(robot, starts) & _within_limits(robot, ends)
     inside = np.flatnonzero(certified)
     for first in range(0, len(inside), _EDGES_A_BLOCK):
@@ -156,6 +158,12 @@ def _within_limits(robot: Robot, q: np.ndarray) -> np.ndarray:
     slack = 1e-6
     inside = (q >= robot.joint_lower - slack) & (q <= robot.joint_upper + slack)
     return np.all(inside, axis=1)
+
+
+def _obstacles(robot: Robot, scene: Scene) -> Obstacles:
+    """What the scene or scenes hold; contacts that are meant must be of this arm."""
+    check_allowed(robot, scene)
+    return obstacles_of(scene)
 
 
 def _owners(scene: Scene, owner: ArrayLike | None, num: int) -> np.ndarray:
@@ -229,7 +237,8 @@ def clearances(
         most: what is farther away than this [m] may count as if it were nothing.
     """
     q = _configurations(robot, "q", q)
-    owner, obstacles, body = _owners(scene, owner, len(q)), obstacles_of(scene), spheres_of(robot)
+    owner, obstacles = _owners(scene, owner, len(q)), _obstacles(robot, scene)
+    body = spheres_of(robot)
     rates = body.same_rates(most)
     found = np.where(np.isfinite(q).all(axis=1), np.inf, np.nan)
     finite = np.flatnonzero(found == np.inf)
@@ -258,7 +267,7 @@ def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
     is. Capsules count as chains of spheres here, too. One more tells of the cloud, where scenes
     have one.
     """
-    clear = clear_of_base(spheres_of(robot), obstacles_of(scene)).T
+    clear = clear_of_base(spheres_of(robot), _obstacles(robot, scene)).T
     return clear.reshape(*np.shape(scene.mask)[:-1], clear.shape[1])
 
 

@@ -63,7 +63,12 @@ def boxes_clear(
     disc, ball = scene.radii.T
     squared = squared_distance(offset, list(scene.half_extents.T), disc)
     reach = jnp.asarray(robot.geom_radii[chosen], q.dtype)[:, None] + ball
-    found = jnp.all(squared > reach**2, axis=0) | ~scene.mask
+    apart = squared > reach**2
+    if scene.allowed is not None:
+        # Of the world, whose number is -1, nothing is meant.
+        meant = jnp.pad(scene.allowed.pairs, ((0, 0), (0, 1)))
+        apart |= meant[:, robot.geom_bodies[chosen]].T
+    found = jnp.all(apart, axis=0) | ~scene.mask
     if scene.cloud is None:
         return found
     squared = squared_distance_to(lookup(scene.cloud), [x[:, 0] for x in where])

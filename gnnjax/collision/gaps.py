@@ -76,6 +76,8 @@ def _gaps_to(
     )
     apart = sum_of_squares(middles[:, body.moving, None] - centers[:, None])  # [L M B]
     near = exists & ~(apart > (reach[body.moving, None] + radii) ** 2)
+    if obstacles.allowed is not None:
+        near &= ~obstacles.allowed[body.links[body.moving]].take(at.scene, axis=-1)
     link, thing, moment = np.unravel_index(np.flatnonzero(near), near.shape)
     link = body.moving[link]
     # Balls of links and the obstacles themselves.
@@ -200,11 +202,13 @@ def _looked_at_closely(
 def clear_of_base(body: Spheres, obstacles: Obstacles) -> np.ndarray:
     """Whether obstacles are clear of the links that no joint moves, `[M P]`, or `[M+1 P]` with
     clouds, which come last."""
-    points, radii = _base(body)
+    points, radii, bodies = _base(body)
     sphere, thing, scene = np.indices((len(radii), *obstacles.exists.shape)).reshape(3, -1)
     gap = obstacles.distances(points[:, sphere], thing, scene) - radii[sphere]
-    clear = np.all((gap > 0).reshape(len(radii), *obstacles.exists.shape), axis=0)
-    clear = clear | ~obstacles.exists
+    apart = (gap > 0).reshape(len(radii), *obstacles.exists.shape)
+    if obstacles.allowed is not None:
+        apart |= obstacles.allowed[bodies]
+    clear = np.all(apart, axis=0) | ~obstacles.exists
     if not obstacles.has_clouds:
         return clear
     sphere, scene = np.indices((len(radii), obstacles.exists.shape[1])).reshape(2, -1)
@@ -214,11 +218,11 @@ def clear_of_base(body: Spheres, obstacles: Obstacles) -> np.ndarray:
 
 
 @functools.cache
-def _base(body: Spheres) -> tuple[np.ndarray, np.ndarray]:
-    """Centers `[3, F]` and radii `[F]` of the spheres that no joint moves."""
+def _base(body: Spheres) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centers `[3, F]`, radii `[F]` and bodies `[F]` of the spheres that no joint moves."""
     fixed = np.flatnonzero(~np.isin(body.link_of, body.moving))
     frames = _frames(body, body.robot.home[:, None])[:, :, body.link_of[fixed], 0]
-    return _place(frames, body.centers[:, fixed]), body.radii[fixed]
+    return _place(frames, body.centers[:, fixed]), body.radii[fixed], body.bodies[fixed]
 
 
 def _frames(body: Spheres, q: np.ndarray) -> np.ndarray:

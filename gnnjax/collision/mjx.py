@@ -37,6 +37,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.components import in_components
 from gnnjax.collision.fused import CollisionFunctions
 from gnnjax.collision.spheres import FAR, moved_by_joint
+from gnnjax.scene.allowed import refuse_allowed
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
 
@@ -80,6 +81,7 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
 
     def smallest_distance(scene: Scene, q: jax.Array, *, only_sign: bool) -> jax.Array:
         """Of a scene, or of a scene for each configuration, `[B M ...]`."""
+        refuse_allowed(scene, "the MJX backend")
         place = _placer(robot, q)
         smallest = jnp.full(len(q), jnp.inf, q.dtype)
         disc, ball = scene.radii[..., 0], scene.radii[..., 1]

@@ -24,6 +24,7 @@ class Obstacles:
     centers: np.ndarray  # [3 M P] m; any obstacle lies in the ball of its radius about its center
     radii: np.ndarray  # [M P] m
     has_clouds: bool
+    allowed: np.ndarray | None  # [L+1 M P] contacts that are meant, by body; the world comes last
 
     def __init__(self, scenes: Scene):
         mask, centers, half_extents, quats, radii = _arrays(scenes)
@@ -43,6 +44,11 @@ class Obstacles:
         ]
         rows = [*self.centers, *sizes, *axes[0], *axes[1], *axes[2], disc, ball]
         self._table = np.stack(rows).reshape(17, -1)
+        self.allowed = None
+        if scenes.allowed is not None:
+            pairs = np.asarray(scenes.allowed.pairs)
+            pairs = pairs if pairs.ndim == 3 else pairs[None]
+            self.allowed = np.concatenate([pairs.T, np.zeros((1, *self.exists.shape), bool)])
         self.has_clouds = scenes.cloud is not None
         if self.has_clouds:
             points, num, self._cloud_radii = _clouds(scenes)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.kinematics import (
     WORLD,
@@ -47,6 +47,7 @@ class Placed(NamedTuple):
     rotations: Float[Array, "M 3 3 P"] | None  # base to obstacle; None: none is rotated
     half_extents: Float[Array, "M 3 P"]
     radii: Float[Array, "M 2 P"]  # of disc and ball
+    allowed: Bool[Array, "M L P"] | None  # bodies that may touch them; None: no scene says so
     num: Int[Array, " P"]  # none after so many exists
 
 
@@ -57,6 +58,7 @@ class Obstacle(NamedTuple):
     rotation: Float[Array, "3 3 ..."] | None
     half_extents: Float[Array, "3 ..."]
     radii: Float[Array, "2 ..."]
+    allowed: Bool[Array, "L ..."] | None
 
 
 def place(scenes: Scene, axis_aligned: bool) -> Placed:
@@ -73,9 +75,9 @@ def place(scenes: Scene, axis_aligned: bool) -> Placed:
     if not axis_aligned:
         rotations = rotation_matrices(scenes.quats).swapaxes(-1, -2)
         origins = jnp.sum(rotations * origins[..., None, :], axis=-1)
-    parts = Placed(
-        origins, rotations, scenes.half_extents, scenes.radii, jax.vmap(last_box)(exists)
-    )
+    allowed = None if scenes.allowed is None else scenes.allowed.pairs
+    num = jax.vmap(last_box)(exists)
+    parts = Placed(origins, rotations, scenes.half_extents, scenes.radii, allowed, num)
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), parts)
 
 
@@ -103,6 +105,7 @@ class Passes:
     def __init__(self, robot: Robot):
         self._robot = robot
         self._moving = np.flatnonzero(moved_by_joint(robot)).tolist()
+        self._bodies = robot.geom_bodies.tolist()
         num = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
         # Of each pass over pairs of the arm's own spheres, the pairs.
         self.self_pairs = np.array_split(robot.self_pairs, num) if num else []
@@ -111,13 +114,17 @@ class Passes:
         self, joints: Joints, obstacle: Obstacle
     ) -> Iterator[tuple[int, jax.Array, jax.Array]]:
         """Of every sphere that moves: its number, its centre's squared distance to the obstacle's
-        box and disc, and the radius of the obstacle's ball."""
-        origin, rotation, half_extents, (disc, ball) = obstacle
+        box and disc, and the radius of the obstacle's ball. Where a contact is meant, the distance
+        is infinite."""
+        origin, rotation, half_extents, (disc, ball), allowed = obstacle
         # Kinematics in the frame of the obstacle are less work than moving every sphere there.
         turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
         points = sphere_centers(self._robot, joints, (list(origin), turned))
         for g in self._moving:
-            yield g, squared_distance(points[g], list(half_extents), disc), ball
+            squared = squared_distance(points[g], list(half_extents), disc)
+            if allowed is not None:
+                squared = jnp.where(allowed[self._bodies[g]], jnp.inf, squared)
+            yield g, squared, ball
 
     def to_itself(self, joints: Joints, pairs: np.ndarray) -> Iterator[tuple[int, int, Scalar]]:
         """Of pairs of spheres: their numbers, and their centres' squared distance."""

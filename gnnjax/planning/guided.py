@@ -25,6 +25,7 @@ from gnnjax.roadmap.stored import (
     local_offsets,
     stored_roadmap,
 )
+from gnnjax.scene.scene import without_meant
 from gnnjax.search.knowledge import UNKNOWN, ends_known
 from gnnjax.search.rounds import Priced, keep_cheapest
 from gnnjax.search.shorten import PATH_POINTS, shortened, spread_along
@@ -138,7 +139,7 @@ class Guided:
         """Roadmaps of nodes that are tested, like those of other planners."""
 
         def one(problem: Problem) -> tuple[Roadmap, jax.Array, Any, jax.Array]:
-            reading = self.guide.read(weights, problem.scene)
+            reading = self.guide.read(weights, without_meant(problem.scene))
             motions = self.guide.prices(weights, reading).motions
             sampled = sample_roadmap(
                 key,
@@ -162,7 +163,7 @@ class Guided:
 
         def with_ends(problem: Problem) -> tuple[Roadmap, Any]:
             roadmap = insert_ends(stored, problem.start, problem.goal, self.radius)
-            return roadmap, guide.read(weights, problem.scene)
+            return roadmap, guide.read(weights, without_meant(problem.scene))
 
         roadmaps, readings = map_first(with_ends, num, problems)
         if guide.stored is None:
@@ -202,7 +203,9 @@ class Guided:
         guide = self.guide
         limits = self.robot.joint_lower, self.robot.joint_upper
         num_special, (num_stored, num_slots) = 2 + 2 * NUM_LOCAL, stored.neighbors.shape
-        readings = map_first(lambda scene: guide.read(weights, scene), num, problems.scene)
+        readings = map_first(
+            lambda scene: guide.read(weights, without_meant(scene)), num, problems.scene
+        )
         if guide.stored is None:
 
             def every(reading: Any) -> jax.Array:

@@ -1,9 +1,12 @@
-"""Families of scenes that are hard on purpose: shelf, table, window, clutter and bin.
+"""Families of scenes that are hard on purpose: shelf, table, window, clutter, bin, cans, pipes, and
+a shelf as a depth camera sees it.
 
 A family draws a scene and the two regions in which the arm's tip starts and ends. All lengths here
 are in units of the arm's reach, and the origin is the middle of its workspace, so that a family
 makes sense for an arm of any size; z points up. A structure is drawn in a frame of its own, whose x
 axis points away from the arm, and then put somewhere around it.
+
+Longer than other modules, since a family is a page and they share their words.
 """
 
 from typing import Literal, NamedTuple, TypeAlias
@@ -12,9 +15,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from gnnjax.problems.camera import look_at
 from gnnjax.scene.scene import Scene, box_bucket, box_scene, rotation_matrices
 
-FamilyName: TypeAlias = Literal["shelf", "table", "window", "clutter", "bin"]
+FamilyName: TypeAlias = Literal[
+    "shelf", "table", "window", "clutter", "bin", "cans", "pipes", "cloud_shelf"
+]
 
 _THIN = 0.012  # half the thickness of walls and boards
 _FAR = 2.0  # beyond all that the arm reaches
@@ -35,6 +41,8 @@ class FamilyScene(NamedTuple):
     scene: Scene
     start: Region
     goal: Region
+    # What a depth camera sees, and then stands for the scene; rays that hit nothing are NaN.
+    seen: Float[Array, "*batch K 3"] | None = None
 
 
 class _Pose(NamedTuple):
@@ -155,11 +163,9 @@ def draw_clutter(key: jax.Array) -> FamilyScene:
     low = jnp.array([[0.03, 0.03, 0.03], [0.01, 0.01, 0.15], [0.01, 0.08, 0.08]])
     high = jnp.array([[0.10, 0.10, 0.10], [0.03, 0.03, 0.45], [0.015, 0.22, 0.22]])
     half_extents = jax.random.uniform(size_key, (num, 3), minval=low[kind], maxval=high[kind])
-    direction = jax.random.normal(place_key, (num, 3))
-    direction = direction / jnp.linalg.norm(direction, axis=1, keepdims=True)
+    direction = _unit(jax.random.normal(place_key, (num, 3)))
     distance = jax.random.uniform(far_key, (num, 1), minval=0.35, maxval=0.85)
-    quats = jax.random.normal(turn_key, (num, 4))
-    quats = quats / jnp.linalg.norm(quats, axis=1, keepdims=True)
+    quats = _unit(jax.random.normal(turn_key, (num, 4)))
     exists = jnp.arange(num) < jax.random.randint(number_key, (), 10, num + 1)
     anywhere = Region(jnp.zeros(3), jnp.full(3, _FAR), _about(2, jnp.zeros(())))
     scene = box_scene(distance * direction, half_extents, quats, exists)
@@ -192,13 +198,115 @@ def draw_bin(key: jax.Array) -> FamilyScene:
     return FamilyScene(scene, *_swapped(swap_key, inside, outside))
 
 
+def draw_cans(key: jax.Array) -> FamilyScene:
+    """A shelf of 2 or 3 boards with cans and bottles on them; the tip goes from one gap among them
+    to another, or comes out."""
+    keys = jax.random.split(key, 7)
+    size_key, count_key, can_key, shift_key, cell_key, pose_key, end_key = keys
+    #            distance, height of the bottom, width / 2, height, depth
+    distance, bottom, width, height, depth = _uniform(
+        size_key, [0.45, -0.55, 0.45, 1.05, 0.24], [0.60, -0.40, 0.60, 1.25, 0.34]
+    )
+    rows = jax.random.randint(count_key, (), 2, 4)
+    boards = height * jnp.minimum(jnp.arange(4) / rows, 1.0)
+    low_high = [
+        ([depth, -width, 0], [depth + 2 * _THIN, width, height]),
+        *(([0, s * width - _THIN, 0], [depth, s * width + _THIN, height]) for s in (-1, 1)),
+        *(([0, -width, z - _THIN], [depth, width, z + _THIN]) for z in boards),
+    ]
+    pose = _beside_arm(pose_key, distance, bottom)
+    furniture = _placed(pose, low_high, jnp.concatenate([jnp.ones(3, bool), jnp.arange(4) <= rows]))
+    # What stands on a board stands in one of 4 cells. Two cells are left empty for the tip, and so
+    # are some others.
+    cell = jnp.arange(12)
+    row, column = cell // 4, cell % 4
+    on_board = row < rows
+    order_key, some_key = jax.random.split(cell_key)
+    order = jnp.argsort(jnp.where(on_board, jax.random.uniform(order_key, (12,)), 2.0))
+    first, second = order[:2]
+    exists = on_board & (cell != first) & (cell != second)
+    exists &= jax.random.bernoulli(some_key, 0.75, (12,))
+    shift = _uniform(shift_key, [0.3, -0.15], [0.7, 0.15], 12)
+    at = jnp.stack(
+        [depth * shift[:, 0], width * ((column + 0.5 + shift[:, 1]) / 2 - 1), boards[row] + _THIN],
+        axis=1,
+    )
+    kind_key, body_key = jax.random.split(can_key)
+    is_bottle = jax.random.bernoulli(kind_key, 0.5, (12,))
+    #    radius and half height of a can, of a bottle's body, of its neck
+    size = _uniform(
+        body_key, [0.03, 0.04, 0.03, 0.07, 0.010, 0.03], [0.05, 0.08, 0.05, 0.12, 0.015, 0.05], 12
+    )
+    radius = jnp.where(is_bottle, size[:, 2], size[:, 0])
+    half = jnp.where(is_bottle, size[:, 3], size[:, 1])
+    up = jnp.array([0.0, 0.0, 1.0])
+    bodies = _upright(pose, at + half[:, None] * up, radius, half, exists)
+    above = at + (2 * half + size[:, 5])[:, None] * up
+    necks = _upright(pose, above, size[:, 4], size[:, 5], exists & is_bottle)
+
+    def gap(cell: jax.Array) -> Region:
+        left = width * (cell % 4 / 2 - 1)
+        board = boards[cell // 4]
+        return _region(
+            pose,
+            [0.15 * depth, left + 0.02, board + _MARGIN],
+            [0.85 * depth, left + width / 2 - 0.02, jnp.minimum(board + 0.25, height - _MARGIN)],
+        )
+
+    outside_key, swap_key = jax.random.split(end_key)
+    outside = _region(pose, [-_FAR, -_FAR, -_FAR], [-0.1, _FAR, _FAR])
+    goal = _choose(jax.random.bernoulli(outside_key, 0.3), outside, gap(second))
+    return FamilyScene(_padded(furniture, bodies, necks), *_swapped(swap_key, gap(first), goal))
+
+
+def draw_pipes(key: jax.Array) -> FamilyScene:
+    """8 to 14 pipes, half of them with round ends, that cross the workspace beside the arm."""
+    keys = jax.random.split(key, 6)
+    number_key, kind_key, size_key, place_key, far_key, axis_key = keys
+    num = 14
+    direction = _unit(jax.random.normal(place_key, (num, 3)))
+    # Across the way from the arm, so that none leads into its base.
+    axis = jax.random.normal(axis_key, (num, 3))
+    axis = _unit(axis - jnp.sum(axis * direction, axis=1, keepdims=True) * direction)
+    distance = jax.random.uniform(far_key, (num, 1), minval=0.35, maxval=0.9)
+    radius, half = _uniform(size_key, [0.015, 0.5], [0.06, 1.2], num).T
+    is_capsule = jax.random.bernoulli(kind_key, 0.5, (num,))
+    exists = jnp.arange(num) < jax.random.randint(number_key, (), 8, num + 1)
+    # The shortest rotation of z to the axis; opposite to z, that is never drawn, it has none.
+    quats = _unit(jnp.stack([1 + axis[:, 2], -axis[:, 1], axis[:, 0], 0 * radius], axis=1))
+    anywhere = Region(jnp.zeros(3), jnp.full(3, _FAR), _about(2, jnp.zeros(())))
+    scene = _round(distance * direction, radius, half, quats, is_capsule, exists)
+    return FamilyScene(_padded(scene), anywhere, anywhere)
+
+
+def draw_cloud_shelf(key: jax.Array) -> FamilyScene:
+    """The shelf, as a depth camera above the arm sees it, from one side or the other."""
+    shelf_key, side_key, place_key = jax.random.split(key, 3)
+    drawn = draw_shelf(shelf_key)
+    scene = drawn.scene
+    middle = jnp.mean(scene.centers, axis=0, where=scene.mask[:, None])
+    away = _unit(middle[:2])
+    side = jnp.where(jax.random.bernoulli(side_key), 1.0, -1.0)
+    beside = side * jnp.stack([-away[1], away[0]])
+    #  behind the arm, beside it, and above its middle
+    behind, aside, above = _uniform(place_key, [0.1, 0.3, 0.5], [0.3, 0.6, 0.8])
+    camera = jnp.append(aside * beside - behind * away, above)
+    seen = look_at(scene, camera, middle)
+    return drawn._replace(scene=scene._replace(mask=jnp.zeros_like(scene.mask)), seen=seen)
+
+
 FAMILIES = {
     "shelf": draw_shelf,
     "table": draw_table,
     "window": draw_window,
     "clutter": draw_clutter,
     "bin": draw_bin,
+    # Problems are drawn by the number of their family: others go to the end.
+    "cans": draw_cans,
+    "pipes": draw_pipes,
+    "cloud_shelf": draw_cloud_shelf,
 }
+BOX_FAMILIES = ("shelf", "table", "window", "clutter", "bin")  # what the motion network learns from
 
 
 def _uniform(key: jax.Array, low: list, high: list, *shape: int) -> jax.Array:
@@ -222,6 +330,10 @@ def _beside_arm(
 def _about(axis: int, angle: jax.Array) -> jax.Array:
     """The quaternion of a turn about a coordinate axis."""
     return jnp.zeros(4).at[0].set(jnp.cos(angle / 2)).at[axis + 1].set(jnp.sin(angle / 2))
+
+
+def _unit(vectors: jax.Array) -> jax.Array:
+    return vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def _multiply(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -251,6 +363,30 @@ def _placed(pose: _Pose, low_high: list, exists: Bool[Array, " M"]) -> Scene:
     centers, half_extents = (jnp.stack(part) for part in zip(*parts, strict=True))
     quats = jnp.tile(pose.quat, (len(parts), 1))
     return box_scene(_to_world(pose, centers), half_extents, quats, exists)
+
+
+def _upright(
+    pose: _Pose, centers: jax.Array, radius: jax.Array, half: jax.Array, exists: jax.Array
+) -> Scene:
+    """Cylinders along the z axis of a structure's frame."""
+    quats = jnp.tile(pose.quat, (len(centers), 1))
+    return _round(_to_world(pose, centers), radius, half, quats, jnp.zeros_like(exists), exists)
+
+
+def _round(
+    centers: jax.Array,
+    radius: jax.Array,
+    half: jax.Array,
+    quats: jax.Array,
+    is_capsule: jax.Array,
+    exists: jax.Array,
+) -> Scene:
+    """Cylinders, or capsules, about their z axes."""
+    none = jnp.zeros_like(radius)
+    half_extents = jnp.stack([none, none, half], axis=1)
+    scene = box_scene(centers, half_extents, quats, exists)
+    disc, ball = jnp.where(is_capsule, 0, radius), jnp.where(is_capsule, radius, 0)
+    return scene._replace(radii=jnp.stack([disc, ball], axis=1))
 
 
 def _padded(*scenes: Scene) -> Scene:

@@ -14,12 +14,15 @@ from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
 from gnnjax.problems.families import FAMILIES, FamilyScene, Region
 from gnnjax.problems.problem import Problem
+from gnnjax.scene.cloud import cloud_of
 from gnnjax.scene.scene import Scene, rotation_matrices
 
 # Configurations drawn at once, of which the first so many with the tip in place are tested.
 _BLOCK, _TESTED = 4096, 256
 _MAX_BLOCKS = 12  # for either end, before the scene is drawn again
 _MAX_SCENES = 100
+# Of the balls around what a camera sees, in units of the reach: half of what its pixels are apart.
+_SEEN_RADIUS = 0.02
 
 
 class FamilyProblem(NamedTuple):
@@ -152,6 +155,9 @@ def _scaled(drawn: FamilyScene, reach: Reach) -> FamilyScene:
         half_extents=reach.radius * drawn.scene.half_extents,
         radii=reach.radius * drawn.scene.radii,
     )
+    if drawn.seen is not None:
+        points = center + reach.radius * drawn.seen
+        scene = scene._replace(cloud=cloud_of(points, _SEEN_RADIUS * reach.radius))
     return FamilyScene(scene, region(drawn.start), region(drawn.goal))
 
 

@@ -9,6 +9,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write, read_arrays
 from gnnjax.problems.problem import Problem, ProblemSet
+from gnnjax.scene.allowed import refuse_allowed
 from gnnjax.scene.cloud import MOST_METERS, Balls, make_cloud
 from gnnjax.scene.scene import Scene, box_bucket, pad_scene, same_clouds, unit_quats
 from gnnjax.scene.shapes import (
@@ -68,7 +69,8 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
     """Writes a problem set as one `.npz` without pickles; replaces the file atomically.
 
     Raises:
-        InputError: an extra that only a pickle could hold, or one that names obstacles.
+        InputError: an extra that only a pickle could hold, or one that names obstacles; a scene in
+            which contacts are meant.
     """
     for name, value in problem_set.extras.items():
         if np.asarray(value).dtype.hasobject:
@@ -76,6 +78,7 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
                 f"extra {name!r} holds Python objects; problem files hold numbers and strings alone"
             )
     _check_further(f"problem file {str(path)!r}", problem_set.extras)
+    refuse_allowed(problem_set.problems.scene, "a problem file")
     start, goal, scene = jax.tree.map(np.asarray, problem_set.problems)
     arrays = {
         "robot": np.array(problem_set.robot),
@@ -143,7 +146,7 @@ def load_file(path: Path, robot: Robot) -> ProblemSet:
     order = np.argsort(~mask, axis=1, kind="stable")
     most = int(mask.sum(axis=1).max())
     parts = [np.take_along_axis(x, order[..., None], axis=1)[:, :most] for x in joined[:4]]
-    scene = Scene._make([*parts, np.take_along_axis(mask, order, axis=1)[:, :most], None])
+    scene = Scene._make([*parts, np.take_along_axis(mask, order, axis=1)[:, :most], None, None])
     scene = pad_scene(scene, box_bucket(most, f"problem file {str(path)!r}"))
     if arrays.keys() & set(_CLOUD):
         scene = _with_clouds(path, arrays, scene)

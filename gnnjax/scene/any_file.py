@@ -19,7 +19,7 @@ def _moveit(path: Path, robot: Robot) -> Scene:
 
 
 def _json(path: Path, robot: Robot) -> Scene:
-    return scene_from_json(path)
+    return scene_from_json(path, robot)
 
 
 _READERS = {".json": _json, ".yaml": _moveit, ".yml": _moveit, ".xml": _mjcf}
@@ -30,7 +30,8 @@ def read_scene(path: Path, robot: Robot) -> Scene:
 
     Args:
         path: of the file.
-        robot: the arm, which is left out where a MuJoCo model holds it.
+        robot: the arm, which is left out where a MuJoCo model holds it, and whose bodies lists of
+            contacts that are meant name.
 
     Raises:
         InputError: another ending, or see `scene_from_json`, `scene_from_moveit`,

@@ -167,6 +167,33 @@ def _grid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return lower, cells, away * away
 
 
+def cloud_of(points: Float[Array, "K 3"], radius: float) -> Cloud:
+    """`make_cloud` inside of compiled functions, of points of which some are NaN, and none.
+
+    Args:
+        points: m, in reach.
+        radius: of the balls, m.
+    """
+    exists = jnp.isfinite(points).all(axis=1)
+    order = jnp.argsort(~exists)
+    points = jnp.where(exists[order, None], points[order], 0.0)
+    exists = exists[order, None]
+    lower = jnp.min(points, axis=0, where=exists, initial=REACH) - AROUND
+    upper = jnp.max(points, axis=0, where=exists, initial=-REACH) + AROUND
+    lower, upper = (jnp.clip(x, -REACH, REACH) for x in (lower, upper))
+    cells = jnp.maximum((upper - lower) / (NODES - 1), 1e-4)
+    away = lower + cells * jnp.arange(NODES)[:, None] - points[:, None]  # [K NODES 3]
+    # What does not exist is far away.
+    x, y, z = jnp.moveaxis(jnp.where(exists[..., None], away * away, _FAR * _FAR), -1, 0)
+
+    def slab(x: jax.Array) -> jax.Array:
+        return jnp.min((x[:, None] + y)[:, :, None] + z[:, None], axis=0)
+
+    squared = jax.lax.map(slab, x.T).reshape(-1)
+    num = exists.sum().astype(jnp.int32)
+    return Cloud(points, num, jnp.float32(radius), lower, cells, squared)
+
+
 def no_cloud(room: int = 0) -> Cloud:
     """What a scene without a cloud has in a batch in which others have one.
 

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
+from gnnjax.scene.allowed import refuse_allowed
 from gnnjax.scene.cloud import Cloud
 from gnnjax.scene.scene import Scene, obstacle_name
 from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
@@ -136,8 +137,10 @@ def place_boxes(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> Non
     """Gives the obstacles of a world a scene's kinds, places and sizes, in place.
 
     Raises:
-        InputError: a scene with a cloud, in a world that was built for another.
+        InputError: a scene with a cloud, in a world that was built for another; or one in which
+            contacts are meant.
     """
+    refuse_allowed(scene, "a MuJoCo world")
     mask = np.asarray(scene.mask)
     held = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, _CLOUD)
     spheres = int(model.body_geomnum[held]) if held >= 0 else 0
@@ -179,7 +182,7 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
     the spheres around the arm's parts, which are what is tested against clouds."""
     model = _cached_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene._replace(cloud=None))
+    place_boxes(model, data, scene._replace(cloud=None, allowed=None))
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     parts, pairs = robot.part_geom_ids.tolist(), robot.part_pairs.tolist()
@@ -194,6 +197,7 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
         found += [
             (depth_of(model, data, parts[number], int(placed[i])), robot.parts[number].name, name)
             for number in moving
+            if not _is_meant(scene, i, robot.parts[number].body)
         ]
     depth, part = _depth_in_cloud(robot, scene, model, q, moved=True)
     if depth > 0:
@@ -208,7 +212,7 @@ def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
     of what was seen."""
     model = _cached_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene._replace(cloud=None))
+    place_boxes(model, data, scene._replace(cloud=None, allowed=None))
     mujoco.mj_kinematics(model, data)
     if i == len(scene.mask) and scene.cloud is not None:
         cloud = scene.cloud._replace(radius=np.float32(0))
@@ -216,7 +220,11 @@ def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
             0
         ]
     obstacle = int(obstacles(model, len(scene.mask)).geoms[i])
-    fixed = [g for g in robot.part_geom_ids.tolist() if not _is_moved(model, g)]
+    fixed = [
+        g
+        for g, part in zip(robot.part_geom_ids.tolist(), robot.parts, strict=True)
+        if not (_is_moved(model, g) or _is_meant(scene, i, part.body))
+    ]
     return max((depth_of(model, data, g, obstacle) for g in fixed), default=0.0)
 
 
@@ -240,6 +248,11 @@ def _depth_in_cloud(
     depth = robot.geom_radii[chosen] + float(scene.cloud.radius) - away
     deepest = int(depth.argmax())
     return float(depth[deepest]), robot.parts[robot.geom_parts[chosen][deepest]].name
+
+
+def _is_meant(scene: Scene, i: int, body: int) -> bool:
+    """Whether a body may touch obstacle i; the world, which is -1, may touch none."""
+    return scene.allowed is not None and body >= 0 and bool(scene.allowed.pairs[i, body])
 
 
 def _is_moved(model: mujoco.MjModel, geom: int) -> bool:

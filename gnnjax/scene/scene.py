@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from gnnjax.errors import InputError
 from gnnjax.scene.cloud import MOST_METERS, Balls, Cloud, make_cloud, no_cloud, with_room
@@ -33,6 +33,13 @@ BOX_BUCKETS = (10, 16, 32, 64, 128)
 _BLANK_SIZE = 0.1  # m; padding has a size, so that nothing divides by zero
 
 
+class Allowed(NamedTuple):
+    """Contacts that are meant; made by `allow_contacts`."""
+
+    pairs: Bool[Array, "*batch M L"]  # true where body l of the arm may touch obstacle m
+    arm: UInt32[Array, "*batch"]  # of which arm, see `arm_key`
+
+
 class Scene(NamedTuple):
     """Obstacles in the frame of the arm's base, wherever its MJCF puts that.
 
@@ -47,6 +54,7 @@ class Scene(NamedTuple):
     radii: Float[Array, "*batch M 2"]  # m, of the disc and of the ball
     mask: Bool[Array, "*batch M"]  # true where the obstacle exists
     cloud: Cloud | None = None
+    allowed: Allowed | None = None
 
 
 def box_scene(
@@ -55,7 +63,7 @@ def box_scene(
     """A scene of boxes alone, of arrays `[*batch, M, ...]` as they are."""
     zeros = np.zeros if isinstance(mask, np.ndarray) else jnp.zeros
     radii = zeros((*np.shape(mask), 2), np.float32)
-    return Scene._make([centers, half_extents, quats, radii, mask, None])
+    return Scene._make([centers, half_extents, quats, radii, mask, None, None])
 
 
 def box_bucket(num: int, source: str = "the scene") -> int:
@@ -97,7 +105,7 @@ def scene_from_shapes(
     joined = [np.concatenate(x) for x in zip(*parts, strict=True)] if parts else _NOTHING
     num = len(joined[0])
     cloud = make_cloud(clouds, source) if clouds else None
-    scene = Scene._make([*(x.astype(np.float32) for x in joined), np.ones(num, bool), cloud])
+    scene = Scene._make([*(x.astype(np.float32) for x in joined), np.ones(num, bool), cloud, None])
     return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
 
 
@@ -130,7 +138,7 @@ def make_scene(
         given["quat"] = quats
     sums = sums_from("box", given, source)
     num = len(sums.centers)
-    scene = Scene._make([*(x.astype(np.float32) for x in sums), np.ones(num, bool), None])
+    scene = Scene._make([*(x.astype(np.float32) for x in sums), np.ones(num, bool), None, None])
     return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
 
 
@@ -247,6 +255,7 @@ def pad_scene(scene: Scene, max_boxes: int) -> Scene:
         pad(scene.radii, 0.0),
         pad(scene.mask, False),
         scene.cloud,
+        scene.allowed and scene.allowed._replace(pairs=pad(scene.allowed.pairs, False)),
     )
 
 
@@ -254,7 +263,7 @@ def stack_scenes(scenes: Sequence[Scene]) -> Scene:
     """Scenes as one batch `[P, M, ...]`, with room in each for as many obstacles and points as the
     largest has."""
     most = max(scene.mask.shape[-1] for scene in scenes)
-    padded = same_clouds([pad_scene(scene, most) for scene in scenes])
+    padded = _same_allowed(same_clouds([pad_scene(scene, most) for scene in scenes]))
     return jax.tree.map(lambda *x: np.stack(x), *padded)
 
 
@@ -276,6 +285,28 @@ def same_clouds(scenes: Sequence[Scene]) -> list[Scene]:
     return [with_cloud(scene) for scene in scenes]
 
 
+def _same_allowed(scenes: Sequence[Scene]) -> list[Scene]:
+    """Single scenes; where contacts are meant in one, all say so, if need be of none."""
+    meant = [scene.allowed for scene in scenes if scene.allowed is not None]
+    if not meant:
+        return list(scenes)
+    if len({int(x.arm) for x in meant}) > 1:
+        raise InputError(
+            "the contacts that are meant in these scenes are of several arms; stack "
+            "scenes of one arm"
+        )
+    none = meant[0]._replace(pairs=np.zeros_like(meant[0].pairs))
+    return [x if x.allowed is not None else x._replace(allowed=none) for x in scenes]
+
+
+def without_meant(scene: Scene) -> Scene:
+    """A scene, or scenes, for guides, which know of no bodies: less what some body may touch."""
+    if scene.allowed is None:
+        return scene
+    met = scene.allowed.pairs.any(axis=-1)
+    return scene._replace(mask=scene.mask & ~met, allowed=None)
+
+
 def without_points(scene: Scene) -> Scene:
     """A scene for kernels, which look a cloud up in its grid; certificates refuse it."""
     if scene.cloud is None:
@@ -294,6 +325,8 @@ def pad_boxes(scene: Scene, max_boxes: int) -> Scene:
         jnp.pad(scene.radii, ((0, pad), (0, 0))),
         jnp.pad(scene.mask, (0, pad)),
         scene.cloud,
+        scene.allowed
+        and scene.allowed._replace(pairs=jnp.pad(scene.allowed.pairs, ((0, pad), (0, 0)))),
     )
 
 

@@ -7,8 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
+from gnnjax.scene.allowed import allow_contacts, refuse_allowed
 from gnnjax.scene.cloud import Balls, point_cloud
 from gnnjax.scene.scene import Scene, box_bucket, scene_from_shapes
 from gnnjax.scene.shapes import (
@@ -42,7 +44,7 @@ _CLOUDS = {
 }
 
 
-def scene_from_json(path: str | Path) -> Scene:
+def scene_from_json(path: str | Path, robot: Robot | None = None) -> Scene:
     """Reads lists of obstacles: `{"boxes": [{"center": [x,y,z], "half_extents": [x,y,z]}], ...}`.
 
     There may be `boxes` (`center`, `half_extents`), `spheres` (`center`, `radius`), `capsules` and
@@ -54,9 +56,15 @@ def scene_from_json(path: str | Path) -> Scene:
     (`heights`: a list of rows, or a .npy file; and what else `height_field` takes). Names of files
     are relative to the folder of the JSON.
 
+    And `allow`, a list of contacts that are meant: `["hand", "cylinder 0"]`, see `allow_contacts`.
+
+    Args:
+        path: of the file.
+        robot: the arm, whose bodies `allow` names.
+
     Raises:
         InputError: the file is missing, is no JSON, holds anything else, or an obstacle lacks what
-            it needs.
+            it needs; or it allows contacts, and no arm is given or they are none.
     """
     called = f"scene file {str(path)!r}"
     data = read_json(path, "scene file")
@@ -71,7 +79,16 @@ def scene_from_json(path: str | Path) -> Scene:
         for name in _CLOUDS
         for i, values in enumerate(_listed(data.pop(name, []), name, called))
     ]
-    return scene_from_shapes(shapes_of(data, called, short), clouds=clouds, source=short)
+    allow = _listed(data.pop("allow", []), "allow", called)
+    scene = scene_from_shapes(shapes_of(data, called, short), clouds=clouds, source=short)
+    if not allow:
+        return scene
+    if robot is None:
+        raise InputError(
+            f"{called} has allow, contacts that are meant of an arm's bodies; say of which arm, "
+            "scene_from_json(path, robot)"
+        )
+    return allow_contacts(robot, scene, allow)
 
 
 def _listed(value: Any, name: str, called: str) -> list[Any]:
@@ -204,6 +221,7 @@ def _checked(kind: str, values: Any, called: str) -> dict[str, Any]:
 
 def scene_to_json(scene: Scene, path: str | Path) -> None:
     """Writes the existing obstacles of one scene as JSON that `scene_from_json` reads."""
+    refuse_allowed(scene, "a scene file without an arm")
     shapes = scene._replace(cloud=None)
     one = jax.tree.map(lambda x: np.asarray(x)[np.asarray(scene.mask)], shapes)
     kinds = kind_of(one.half_extents, one.radii)

@@ -1,0 +1,102 @@
+"""Contacts that are meant: bodies of an arm that may touch obstacles, a gripper its handle, say.
+
+They are left out of every test, however deep the overlap, and out of clearances; whoever cannot do
+that refuses the scene. They are of one arm, and no other takes them.
+"""
+
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError, brief
+from gnnjax.scene.scene import Allowed, Scene, obstacle_name
+
+_HELD = "held"  # stands for the body that an arm holds
+
+
+def allow_contacts(robot: Robot, scene: Scene, allow: Sequence) -> Scene:
+    """The scene in which bodies of the arm may touch obstacles, beside those that may already.
+
+    Args:
+        robot: the arm; `attach` makes another one.
+        scene: one scene, not a batch.
+        allow: pairs of a body, by its name, and an obstacle, as messages call it: its kind, and its
+            number among those, as in ("hand", "cylinder 0"). "held" is what the arm holds.
+
+    Raises:
+        InputError: no such body or obstacle.
+    """
+    if np.ndim(scene.mask) != 1:
+        raise InputError(f"the mask of the scene has shape {np.shape(scene.mask)}; give one scene")
+    if isinstance(allow, str) or not all(_is_pair(pair) for pair in allow):
+        raise InputError(
+            f'allow is {brief(allow)}; give pairs of names, such as [("hand", "cylinder 0")]'
+        )
+    pairs = np.zeros((len(scene.mask), len(robot.bodies)), bool)
+    if scene.allowed is not None:
+        check_allowed(robot, scene)
+        pairs |= np.asarray(scene.allowed.pairs)
+    if not allow:
+        return scene
+    names = {obstacle_name(scene, i): i for i in np.flatnonzero(scene.mask).tolist()}
+    for body, obstacle in allow:
+        if obstacle not in names:
+            raise InputError(
+                f"no obstacle {obstacle!r} to be touched; the scene has {brief(list(names))}"
+            )
+        pairs[names[obstacle], _body(robot, body)] = True
+    return scene._replace(allowed=Allowed(pairs, arm_key(robot)))
+
+
+def _is_pair(pair: object) -> bool:
+    return (
+        isinstance(pair, tuple | list) and len(pair) == 2 and all(isinstance(x, str) for x in pair)
+    )
+
+
+def _body(robot: Robot, name: str) -> int:
+    known = [body.name for body in robot.bodies]
+    if name in known and name:
+        return known.index(name)
+    held = [i for i, x in enumerate(known) if x.startswith(f"{_HELD}_")]
+    if name == _HELD and len(held) == 1:
+        return held[0]
+    raise InputError(f"no body {name!r} in {robot.name} to touch an obstacle; there are {known}")
+
+
+def arm_key(robot: Robot) -> np.uint32:
+    """Tells arms with other bodies apart."""
+    return np.uint32(zlib.crc32("\n".join(body.name for body in robot.bodies).encode()))
+
+
+def check_allowed(robot: Robot, scene: Scene) -> None:
+    """Refuses a scene, or scenes, in which contacts are meant of another arm."""
+    allowed = scene.allowed
+    if allowed is None:
+        return
+    pairs, mask = np.asarray(allowed.pairs), np.asarray(scene.mask)
+    if (
+        pairs.dtype != bool
+        or pairs.shape != (*mask.shape, len(robot.bodies))
+        or np.shape(allowed.arm) != mask.shape[:-1]
+        or (np.asarray(allowed.arm) != arm_key(robot)).any()
+    ):
+        raise InputError(
+            f"the contacts that are meant in the scene are not of {robot.name}; name them for that "
+            "arm with allow_contacts"
+        )
+
+
+def refuse_allowed(scene: Scene, who: str) -> None:
+    """Refuses a scene, or scenes, for what knows of no contacts that are meant.
+
+    Raises:
+        InputError: there are such contacts.
+    """
+    if scene.allowed is not None:
+        raise InputError(
+            f"the scene has contacts that are meant, which {who} cannot leave out; take them out "
+            "of the scene with scene._replace(allowed=None)"
+        )
