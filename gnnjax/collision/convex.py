@@ -65,7 +65,7 @@ def separate_obstacles(
     position: Float[Array, "3 N"],
     rotation: Float[Array, "3 3 N"],
     obstacles: Obstacles,
-    direction: Float[Array, "3 N"],
+    direction: Float[Array, "3 N"] | None = None,
 ) -> Separation:
     """Bounds how far parts are from obstacles.
 
@@ -78,7 +78,9 @@ def separate_obstacles(
         position: of the part's body, seen from the obstacle, m.
         rotation: of the part's body, seen from the obstacle.
         obstacles: of each pair.
-        direction: in which to look first, from the obstacle to the part, of any length.
+        direction: in which to look first, from the obstacle to the part, of any length; None is
+            from where the obstacle is nearest to the part's middle, which alone separates most of
+            those that are apart.
     """
     vertices, reach = _of_each(parts, part)
     extents, discs = list(obstacles.half_extents), obstacles.discs
@@ -95,7 +97,17 @@ def separate_obstacles(
     size = reach + sum(extents) + discs + jnp.sum(jnp.abs(position), axis=0)
     radii = parts.radii[part] + obstacles.balls
     inner = transform(list(position), rows, list(_middles(parts)[part].T))
-    return _separate(support, inner, radii, size, list(direction))
+    first = _outwards(inner, obstacles) if direction is None else list(direction)
+    return _separate(support, inner, radii, size, first)
+
+
+def _outwards(point: Vector, obstacles: Obstacles) -> Vector:
+    """From about the nearest point of obstacles to a point; from the middle where it is inside."""
+    x, y, z = obstacles.half_extents
+    sizes = x + obstacles.discs, y + obstacles.discs, z
+    beyond = [p - jnp.clip(p, -h, h) for p, h in zip(point, sizes, strict=True)]
+    outside = dot(beyond, beyond) > 0.0
+    return [jnp.where(outside, b, p) for b, p in zip(beyond, point, strict=True)]
 
 
 def separate_parts(

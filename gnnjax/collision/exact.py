@@ -114,7 +114,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
             position = position + obstacle.origin[:, lane]
             disc, ball = obstacle.radii[:, lane]
             shapes = convex.Obstacles(obstacle.half_extents[:, lane], disc, ball)
-            return convex.separate_obstacles(hulls, part, position, rotation, shapes, position).gaps
+            return convex.separate_obstacles(hulls, part, position, rotation, shapes).gaps
 
         return _test_pairs(_bits(touching(obstacle, q), len(bodies)) & wanted, gaps)
 

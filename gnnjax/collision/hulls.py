@@ -55,7 +55,7 @@ class Hulls:
         position = np.stack([_dot(axis, offset) for axis in axes])
         rotation = np.stack([[_dot(axis, column) for column in frames[:3]] for axis in axes])
         shapes = convex.Obstacles(extents, disc, ball + margin)
-        directions = self._look(self._to_obstacles, part, position, rotation, shapes, position)
+        directions = self._look(self._to_obstacles, part, position, rotation, shapes)
         # In the world: a column of `axes` is what the obstacle's axes are there.
         normal = _unit(sum(axis * along for axis, along in zip(axes, directions, strict=True)))
         along = [_dot(axis, normal) for axis in axes]
