@@ -38,24 +38,21 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
     positions, rotations = (np.asarray(x) for x in forward_kinematics(robot, jnp.asarray(shots)))
     tip = np.asarray(forward_kinematics(robot, jnp.asarray(_along(path, 200)))[0])[:, -1]
     colors = matplotlib.colormaps["coolwarm"](np.linspace(0, 1, len(shots)))
-    sphere, geoms = _unit_sphere(), np.flatnonzero(robot.geom_bodies >= 0)
-    bodies = robot.geom_bodies[geoms]
+    parts = _part_faces(robot)
     for column, azimuth in enumerate((-60, 30), start=1):
         axes = figure.add_subplot(1, 2, column, projection="3d", computed_zorder=True)
         _draw_obstacles(axes, scene)
         axes.plot(*tip.T, color="black", linewidth=1.2, linestyle=":")
         for shot, color in enumerate(colors):
-            at_end = shot in (0, len(shots) - 1)
-            centers = np.einsum("gij,gj->gi", rotations[shot, bodies], robot.geom_centers[geoms])
-            centers = (centers + positions[shot, bodies])[:, None, None]
-            surfaces = centers + robot.geom_radii[geoms][:, None, None, None] * sphere
-            light = 0.7 + 0.3 * sphere.mean(axis=1) @ (0.3, -0.5, 0.8)
-            shaded = np.clip(np.tile(light, len(geoms))[:, None] * color[:3], 0, 1)
+            placed = [
+                faces @ rotations[shot, body].T + positions[shot, body] if body >= 0 else faces
+                for body, faces in parts
+            ]
             axes.add_collection3d(
                 Poly3DCollection(
-                    surfaces.reshape(-1, 4, 3),
-                    facecolors=shaded,
-                    alpha=0.5 if at_end else 0.08,
+                    [face for faces in placed for face in faces],
+                    facecolors=np.concatenate([_shaded(faces, color[:3]) for faces in placed]),
+                    alpha=0.9 if shot in (0, len(shots) - 1) else 0.12,
                     linewidth=0,
                 )
             )
@@ -121,6 +118,34 @@ def check_picture(out: str | Path) -> None:
     known = sorted(FigureCanvasBase.get_supported_filetypes())
     if check_target(out).suffix.lower().removeprefix(".") not in known:
         raise InputError(f"picture {str(out)!r} has no known ending; there are {known}")
+
+
+def _part_faces(robot: Robot) -> list[tuple[int, np.ndarray]]:
+    """Of each of the arm's parts: its body, and faces `[F, 3 or 4, 3]` m in the body's frame."""
+    found = []
+    for part in robot.parts:
+        if part.radius > 0:
+            # About each of its vertices, which are few, and those between two.
+            middles = part.vertices
+            if len(middles) == 2:
+                middles = np.linspace(*middles, 9)
+            faces = (middles[:, None, None] + part.radius * _unit_sphere()).reshape(-1, 4, 3)
+        else:
+            hull = ConvexHull(part.vertices, qhull_options="QJ")
+            faces = part.vertices[hull.simplices]
+            # Corners run round each face as its outward normal has it.
+            normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+            inwards = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0
+            faces[inwards] = faces[inwards][:, ::-1]
+        found.append((part.body, faces))
+    return found
+
+
+def _shaded(faces: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """Colours `[F, 3]` of faces, by how they face the light."""
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 1])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return np.clip((0.7 + 0.3 * normals @ (0.3, -0.5, 0.8))[:, None] * color, 0, 1)
 
 
 def _draw_box(half_extents: np.ndarray, radii: np.ndarray) -> np.ndarray:
