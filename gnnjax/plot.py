@@ -50,7 +50,7 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
             ]
             axes.add_collection3d(
                 Poly3DCollection(
-                    [face for faces in placed for face in faces],
+                    np.concatenate(placed),
                     facecolors=np.concatenate([_shaded(faces, color[:3]) for faces in placed]),
                     alpha=0.9 if shot in (0, len(shots) - 1) else 0.12,
                     linewidth=0,
@@ -121,14 +121,14 @@ def check_picture(out: str | Path) -> None:
 
 
 def _part_faces(robot: Robot) -> list[tuple[int, np.ndarray]]:
-    """Of each of the arm's parts: its body, and faces `[F, 3 or 4, 3]` m in the body's frame."""
+    """Of each of the arm's parts: its body, and faces `[F, 4, 3]` m in the body's frame."""
     found = []
     for part in robot.parts:
         if part.radius > 0:
             # About each of its vertices, which are few, and those between two.
             middles = part.vertices
             if len(middles) == 2:
-                middles = np.linspace(*middles, 9)
+                middles = np.linspace(middles[0], middles[1], 9)
             faces = (middles[:, None, None] + part.radius * _unit_sphere()).reshape(-1, 4, 3)
         else:
             hull = ConvexHull(part.vertices, qhull_options="QJ")
@@ -137,6 +137,8 @@ def _part_faces(robot: Robot) -> list[tuple[int, np.ndarray]]:
             normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
             inwards = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0
             faces[inwards] = faces[inwards][:, ::-1]
+            # Four corners like the others': matplotlib does not fill up what is shorter.
+            faces = np.concatenate([faces, faces[:, 2:]], axis=1)
         found.append((part.body, faces))
     return found
 
