@@ -101,6 +101,46 @@ def test_a_motion_outside_the_joint_limits_is_not_certified(robots):
     np.testing.assert_array_equal(certify_edges(robots["tiny"], scene, *edges), [True, False])
 
 
+def test_curves_near_a_certified_line_are_free_in_a_fine_scan(robots):
+    robot, rng = robots["tiny"], np.random.default_rng(3)
+    certified = wider = 0
+    for _ in range(60):
+        scene = random_scene(rng, num=5)
+        edge = rng.uniform(robot.joint_lower, robot.joint_upper, (2, robot.num_dof))
+        edge[1] = edge[0] + 0.2 * (edge[1] - edge[0])
+        slack = rng.uniform(0, 0.06, (1, robot.num_dof))
+        yes = certify_edges(robot, scene, edge[:1], edge[1:], slack=slack)[0]
+        certified, wider = certified + yes, wider + certify_path(robot, scene, edge)
+        # Along the bounds of the slack, in every direction that there is.
+        at = np.linspace(0, 1, 17)[:, None]
+        signs = np.sign(rng.normal(size=(12, 1, robot.num_dof)))
+        curves = edge[0] + at * (edge[1] - edge[0]) + signs * np.sin(np.pi * at) * slack
+        curves = np.clip(curves, robot.joint_lower, robot.joint_upper)
+        # Chords of these curves stay within the slack, too, which is convex.
+        assert not (yes and any(collides_anywhere(robot, scene, curve) for curve in curves))
+    assert 10 < certified < wider
+
+
+def test_an_edge_without_slack_is_certified_as_one_with_none(robots):
+    robot = robots["kuka_iiwa14"]
+    _, batch, starts, ends, owner = scenes_and_edges(robot)
+    plain = certify_edges(robot, batch, starts, ends, owner)
+    none = certify_edges(robot, batch, starts, ends, owner, np.zeros_like(starts))
+    np.testing.assert_array_equal(plain, none)
+    wide = certify_edges(robot, batch, starts, ends, owner, np.full_like(starts, 0.5))
+    assert not (wide & ~plain).any()
+    assert wide.sum() < plain.sum()
+
+
+@pytest.mark.parametrize(
+    "slack", [np.zeros((2, 3)), np.full((1, 3), -0.1), np.full((1, 3), np.nan)]
+)
+def test_slack_is_a_row_of_lengths_an_edge(robots, slack):
+    edge = np.zeros((1, 3)), np.ones((1, 3))
+    with pytest.raises(InputError, match=r"slack .* for 1 edges; give lengths, a row each"):
+        certify_edges(robots["tiny"], make_scene([], []), *edge, slack=slack)
+
+
 def test_a_path_of_one_configuration_is_certified_by_its_clearance(robots):
     scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
     assert not certify_path(robots["tiny"], scene, np.zeros((1, 3)))

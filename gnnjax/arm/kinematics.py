@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from gnnjax.arm.robot import Body, Robot
+from gnnjax.arm.robot import Body, Joint, Robot
 
 Scalar: TypeAlias = float | jax.Array  # one component: a constant, or an array over the batch
 Vector: TypeAlias = list[Scalar]  # 3 components
@@ -44,7 +44,8 @@ def joint_terms(robot: Robot, q: Float[Array, "*batch D"]) -> Joints:
     return Joints(values, jnp.cos(values), jnp.sin(values))
 
 
-def _mul(a: Scalar, b: Scalar) -> Scalar:
+def multiply(a: Scalar, b: Scalar) -> Scalar:
+    """a * b, generating no code for constants zero and one."""
     if isinstance(a, float):
         a, b = b, a
     if isinstance(b, float):
@@ -70,13 +71,13 @@ def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
     """Inner product of component lists."""
     total: Scalar = 0.0
     for x, y in zip(a, b, strict=True):
-        total = add(total, _mul(x, y))
+        total = add(total, multiply(x, y))
     return total
 
 
 def subtract(a: Vector, b: Vector) -> Vector:
     """a - b by component."""
-    return [add(x, _mul(y, -1.0)) for x, y in zip(a, b, strict=True)]
+    return [add(x, multiply(y, -1.0)) for x, y in zip(a, b, strict=True)]
 
 
 def transform(position: Vector, rotation: Matrix, point: Vector) -> Vector:
@@ -84,7 +85,8 @@ def transform(position: Vector, rotation: Matrix, point: Vector) -> Vector:
     return [add(p, dot(row, point)) for p, row in zip(position, rotation, strict=True)]
 
 
-def _matmul(a: Matrix, b: Matrix) -> Matrix:
+def product(a: Matrix, b: Matrix) -> Matrix:
+    """Matrix product by component."""
     columns = list(zip(*b, strict=True))
     return [[dot(row, column) for column in columns] for row in a]
 
@@ -126,22 +128,28 @@ def body_frames(
 
 def _move(body: Body, position: Vector, rotation: Matrix, joints: Joints) -> Frame:
     position = transform(position, rotation, _constant(body.position))
-    rotation = _matmul(rotation, _constant(body.rotation))
+    rotation = product(rotation, _constant(body.rotation))
     for joint in body.joints:
-        if not joint.hinge:
-            direction = [dot(row, _constant(joint.axis)) for row in rotation]
-            value = joints.values[joint.index]
-            position = [add(p, _mul(d, value)) for p, d in zip(position, direction, strict=True)]
-            continue
-        cos, sin = joints.cos[joint.index], joints.sin[joint.index]
-        turn: Matrix = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]
-        align = _align_z(joint.axis)
-        anchor = transform(position, rotation, _constant(joint.anchor))
-        rotation = _matmul(rotation, _constant(align))
-        rotation = _matmul(_matmul(rotation, turn), _constant(align.T))
-        # The anchor is the point of the body that the turn leaves where it was.
-        position = subtract(anchor, [dot(row, _constant(joint.anchor)) for row in rotation])
+        position, rotation = move_joint(joint, position, rotation, joints)
     return position, rotation
+
+
+def move_joint(joint: Joint, position: Vector, rotation: Matrix, joints: Joints) -> Frame:
+    """The frame of a body behind one of its joints, of the frame before it."""
+    if not joint.hinge:
+        direction = [dot(row, _constant(joint.axis)) for row in rotation]
+        value = joints.values[joint.index]
+        return [
+            add(p, multiply(d, value)) for p, d in zip(position, direction, strict=True)
+        ], rotation
+    cos, sin = joints.cos[joint.index], joints.sin[joint.index]
+    turn: Matrix = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]
+    align = _align_z(joint.axis)
+    anchor = transform(position, rotation, _constant(joint.anchor))
+    rotation = product(rotation, _constant(align))
+    rotation = product(product(rotation, turn), _constant(align.T))
+    # The anchor is the point of the body that the turn leaves where it was.
+    return subtract(anchor, [dot(row, _constant(joint.anchor)) for row in rotation]), rotation
 
 
 def forward_kinematics(

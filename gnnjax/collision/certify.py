@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
-from gnnjax.collision.obstacles import Obstacles, obstacles_of
+from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.allowed import check_allowed
 from gnnjax.scene.scene import Scene, inflated, make_scene
@@ -88,10 +88,13 @@ def certify_edges(
     starts: ArrayLike,
     ends: ArrayLike,
     owner: ArrayLike | None = None,
+    slack: ArrayLike | None = None,
 ) -> np.ndarray:
     """`certify_path` for each straight line from `starts` to `ends` `[E, D]`; returns `[E]`.
 
-    Whether an edge is certified does not depend on those beside it.
+    Whether an edge is certified does not depend on those beside it. With `slack` all curves are
+    certified along with a line that are within the joint limits and, at each fraction of the way,
+    within the slack of the line's point.
 
     Args:
         robot: the arm, with spheres and capsules as collision geoms.
@@ -99,34 +102,49 @@ def certify_edges(
         starts: `[E, D]` configurations.
         ends: `[E, D]` configurations.
         owner: `[E]`, in which of P scenes each edge is; None for one scene.
+        slack: `[E, D]` how far each joint may be from the line, rad or m; None: not at all.
 
     Raises:
         InputError: arrays of other shapes, or a scene with boxes that are none.
     """
     starts, ends = _configurations(robot, "starts", starts), _configurations(robot, "ends", ends)
+    wide = None if slack is None else _configurations(robot, "slack", slack)
+    if wide is not None and (len(wide) != len(starts) or not (wide >= 0).all()):
+        raise InputError(f"slack {brief(slack)} for {len(starts)} edges; give lengths, a row each")
     if len(starts) != len(ends):
         raise InputError(f"{len(starts)} starts and {len(ends)} ends; give one of each an edge")
-    owner = _owners(scene, owner, len(starts))
+    owner = owners_of(scene, owner, len(starts))
     obstacles = _obstacles(robot, scene)
     certified = _within_limits(robot, starts) & _within_limits(robot, ends)
     inside = np.flatnonzero(certified)
     for first in range(0, len(inside), _EDGES_A_BLOCK):
         edge = inside[first : first + _EDGES_A_BLOCK]
-        certified[edge] = _certify_block(robot, obstacles, starts[edge], ends[edge], owner[edge])
+        ways = starts[edge], ends[edge]
+        tube = None if wide is None else wide[edge]
+        certified[edge] = _certify_block(robot, obstacles, *ways, owner[edge], tube)
     return certified
 
 
 def _certify_block(
-    robot: Robot, obstacles: Obstacles, starts: np.ndarray, ends: np.ndarray, owner: np.ndarray
+    robot: Robot,
+    obstacles: Obstacles,
+    starts: np.ndarray,
+    ends: np.ndarray,
+    owner: np.ndarray,
+    slack: np.ndarray | None,
 ) -> np.ndarray:
     """Certifies edges `[E, D]` within the joint limits; returns `[E]`.
 
     Pieces are kept as fractions from 0 to 1 of the edge that they belong to. From its middle to
-    its ends, a piece moves everything by at most half its fraction of what the edge does.
+    its ends, a piece moves everything by at most half its fraction of what the edge does, and by
+    the slack.
     """
-    body, lengths = spheres_of(robot), _lengths(starts, ends)
+    body, lengths = spheres_of(robot), np.linalg.norm(ends - starts, axis=1)
     begin, way = starts.T.copy(), (ends - starts).T.copy()
     rates = body.rates(np.abs(way))
+    shortest = np.full(len(starts), _SHORTEST_PIECE)
+    if slack is not None:  # cutting what is shorter leaves most of the motion as it is
+        shortest = np.maximum(shortest, np.linalg.norm(slack, axis=1))
     certified = np.ones(len(starts), bool)
     whole = np.arange(len(starts)), np.zeros(len(starts)), np.ones(len(starts))
     edge, low, high = _cut(*whole, lengths / _FIRST_CUT)
@@ -134,12 +152,16 @@ def _certify_block(
         now, later = slice(_PIECES_A_BATCH), slice(_PIECES_A_BATCH, None)
         of, near, far = edge[now], low[now], high[now]
         q = begin[:, of] + (near + far) / 2 * way[:, of]
-        found = gaps_of(body, obstacles, Moments(q, owner[of], of, (far - near) / 2), rates)
+        at = Moments(q, owner[of], of, (far - near) / 2)
+        if slack is not None:  # which does not shrink with the piece: each is a motion of its own
+            rates = body.rates(at.share * np.abs(way[:, of]) + slack[of].T)
+            at = at._replace(motion=np.arange(len(of)), share=np.ones(len(of)))
+        found = gaps_of(body, obstacles, at, rates)
         # The largest share of a gap that the motion can use up: below 1 nothing is touched.
         need = np.zeros(len(of))
         np.maximum.at(need, found.moment, found.motion / np.maximum(found.gap, 1e-12))
         certified[of[found.moment[found.touching]]] = False
-        certified[of[(need >= 1) & ((far - near) * lengths[of] < _SHORTEST_PIECE)]] = False
+        certified[of[(need >= 1) & ((far - near) * lengths[of] < shortest[of])]] = False
         split = (need >= 1) & certified[of]
         # As many parts as would do if the clearance were the same all along.
         parts = _cut(of[split], near[split], far[split], np.clip(need[split] * 1.2, 2, 8))
@@ -166,21 +188,6 @@ def _obstacles(robot: Robot, scene: Scene) -> Obstacles:
     return obstacles_of(scene)
 
 
-def _owners(scene: Scene, owner: ArrayLike | None, num: int) -> np.ndarray:
-    """The scene of each of `num` edges, or what is wrong with them."""
-    if np.ndim(scene.mask) < 2 and owner is None:
-        return np.zeros(num, int)
-    array = np.asarray(owner)
-    num_scenes = len(scene.mask) if np.ndim(scene.mask) == 2 else 0
-    good = array.shape == (num,) and array.dtype.kind in "iu"
-    if not good or not ((array >= 0) & (array < num_scenes)).all():
-        raise InputError(
-            f"owner is {brief(owner)} for {num} edges and {num_scenes} scenes in a batch; give the "
-            "number of its scene an edge, and none where there is one scene"
-        )
-    return array.astype(int)
-
-
 def _configurations(robot: Robot, name: str, values: ArrayLike) -> np.ndarray:
     """Configurations `[N, D]` in double precision, or what is wrong with them."""
     try:
@@ -193,10 +200,6 @@ def _configurations(robot: Robot, name: str, values: ArrayLike) -> np.ndarray:
             "joint values each"
         )
     return array
-
-
-def _lengths(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(ends - starts, axis=1)
 
 
 def _cut(
@@ -237,7 +240,7 @@ def clearances(
         most: what is farther away than this [m] may count as if it were nothing.
     """
     q = _configurations(robot, "q", q)
-    owner, obstacles = _owners(scene, owner, len(q)), _obstacles(robot, scene)
+    owner, obstacles = owners_of(scene, owner, len(q)), _obstacles(robot, scene)
     body = spheres_of(robot)
     rates = body.same_rates(most)
     found = np.where(np.isfinite(q).all(axis=1), np.inf, np.nan)
@@ -292,6 +295,6 @@ def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: flo
     path = _configurations(robot, "path", path)
     starts, ends = path[:-1], path[1:]
     whole = np.arange(len(starts)), np.zeros(len(starts)), np.ones(len(starts))
-    edge, low, _ = _cut(*whole, _lengths(starts, ends) / resolution)
+    edge, low, _ = _cut(*whole, np.linalg.norm(ends - starts, axis=1) / resolution)
     samples = starts[edge] + low[:, None] * (ends - starts)[edge]
     return float(clearances(robot, scene, np.concatenate([samples, path[-1:]])).min())

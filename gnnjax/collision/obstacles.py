@@ -8,9 +8,10 @@ then of whole rows, and what is found for one point does not depend on its neigh
 import functools
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, brief
 from gnnjax.scene.scene import Scene
 
 _MOST_METERS = 1e4  # of an obstacle; what lies beyond is no scene of an arm
@@ -198,3 +199,18 @@ def sum_of_squares(parts: np.ndarray | list[np.ndarray]) -> np.ndarray:
     for part in parts[1:]:
         total = total + part * part
     return total
+
+
+def owners_of(scene: Scene, owner: ArrayLike | None, num: int) -> np.ndarray:
+    """The scene of each of `num` edges, or what is wrong with them."""
+    if np.ndim(scene.mask) < 2 and owner is None:
+        return np.zeros(num, int)
+    array = np.asarray(owner)
+    num_scenes = len(scene.mask) if np.ndim(scene.mask) == 2 else 0
+    good = array.shape == (num,) and array.dtype.kind in "iu"
+    if not good or not ((array >= 0) & (array < num_scenes)).all():
+        raise InputError(
+            f"owner is {brief(owner)} for {num} edges and {num_scenes} scenes in a batch; give the "
+            "number of its scene an edge, and none where there is one scene"
+        )
+    return array.astype(int)
