@@ -54,6 +54,14 @@ from gnnjax.search.greedy import Scorer, greedy_search
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search
 from gnnjax.training.weights import load_network, save_network
+from gnnjax.trajectory.files import save_trajectory
+from gnnjax.trajectory.trajectory import (
+    Setpoints,
+    Trajectory,
+    sample_trajectory,
+    time_path,
+    time_paths,
+)
 
 __all__ = [
     "Allowed",
@@ -78,8 +86,10 @@ __all__ = [
     "Scene",
     "Scorer",
     "SearchResult",
+    "Setpoints",
     "Shape",
     "Strategy",
+    "Trajectory",
     "allow_contacts",
     "box",
     "boxes_clear",
@@ -116,8 +126,10 @@ __all__ = [
     "sample_problem",
     "sample_roadmap",
     "sample_scene",
+    "sample_trajectory",
     "save_network",
     "save_problems",
+    "save_trajectory",
     "scene_from_height_field",
     "scene_from_json",
     "scene_from_mesh",
@@ -129,4 +141,6 @@ __all__ = [
     "sphere",
     "stack_scenes",
     "stored_roadmap",
+    "time_path",
+    "time_paths",
 ]

@@ -52,6 +52,8 @@ problems.family_problem problems.labelled problems.moveit
 planning.options planning.query planning.clock planning.progress planning.strategy
 planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
 planning.engine planning.planner
+trajectory.limits trajectory.dynamics trajectory.curve trajectory.smooth trajectory.timing
+trajectory.trajectory trajectory.files
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl

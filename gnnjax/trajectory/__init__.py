@@ -1,0 +1,1 @@
+"""From certified paths to motions in time."""

@@ -1,0 +1,68 @@
+"""What the joints of an arm can do."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError, brief
+
+Amounts: TypeAlias = float | int | Sequence | np.ndarray  # one for all joints, or one each
+
+
+class Limits(NamedTuple):
+    """Of D joints, either way."""
+
+    velocity: np.ndarray  # [D] rad/s or m/s
+    acceleration: np.ndarray  # [D] rad/s^2 or m/s^2
+    torque: np.ndarray | None  # [D] N m or N; None: whatever it takes
+
+
+_REMEDIES = {
+    "velocity": "rad/s",
+    "acceleration": "rad/s^2; makers of arms name 1 to 20, and 5 is moderate",
+}
+
+
+def limits_of(
+    robot: Robot,
+    *,
+    velocity: Amounts | None = None,
+    acceleration: Amounts | None = None,
+    torque: Amounts | None = None,
+) -> Limits:
+    """The limits that an arm's model has, but for those that are given: a number a joint, or one
+    for all.
+
+    Torques are not limited where neither the model nor an argument does so.
+
+    Raises:
+        InputError: a limit that is not positive, or too many of them; no velocities, or no
+            accelerations.
+    """
+    given = {"velocity": velocity, "acceleration": acceleration, "torque": torque}
+    found = {}
+    for name, values in given.items():
+        own = getattr(robot, f"{name}_limit")
+        found[name] = _positive(robot, name, values) if values is not None else own
+        if found[name] is None and name in _REMEDIES:
+            raise InputError(
+                f"the model of {robot.name} has no {name} limits; give {name}=... "
+                f'({_REMEDIES[name]}), or put <numeric name="{name}_limit"> into its MJCF'
+            )
+    return Limits(*(None if x is None else np.asarray(x, float) for x in found.values()))
+
+
+def _positive(robot: Robot, name: str, values: Amounts) -> np.ndarray:
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    fits = array.shape in ((), (1,), (robot.num_dof,))
+    if not fits or not ((array > 0) & np.isfinite(array)).all():
+        raise InputError(
+            f"{name} limits of {robot.name} are {brief(values)}; give one positive number, or "
+            f"{robot.num_dof}, one a joint"
+        )
+    return np.broadcast_to(array, robot.num_dof)

@@ -1,0 +1,75 @@
+"""How far the corners of certified paths can be rounded."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.certify import certify_edges
+from gnnjax.scene.scene import Scene
+from gnnjax.trajectory.curve import blend_chords, distinct, edges_of
+
+_CHORDS = 8  # of a blend, to be certified; even
+_HALVINGS = 6  # of a blend that is not certified, before the motion stops at its corner
+
+
+class Smoothed(NamedTuple):
+    """A path of L configurations whose corners are rounded."""
+
+    path: np.ndarray  # [L D] rad or m, double precision, without repetitions
+    blends: np.ndarray  # [L - 2] before and behind each corner, configuration units; 0: stop
+    certified: bool  # the whole curve is proven free of collisions; without, all blends are 0
+
+
+def smooth_paths(
+    robot: Robot, scene: Scene, paths: list[np.ndarray], blend: float
+) -> list[Smoothed]:
+    """Rounds the corners of P paths as far as is certified, all along the curves.
+
+    Each blend begins as `blend`, at most half of the shorter of its edges. Where that is not
+    certified it is halved, and given up in the end.
+
+    Args:
+        robot: the arm.
+        scene: one scene, or P scenes `[P, M, ...]`, one a path.
+        paths: each `[L, D]`, one configuration or more.
+        blend: length of an edge that a blend takes at most, configuration units.
+    """
+    several = np.ndim(scene.mask) == 2
+    paths = [distinct(path) for path in paths]
+    # A single configuration is its own end.
+    straight = [np.concatenate([path, path]) if len(path) == 1 else path for path in paths]
+    edges = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in straight])
+    starts = np.concatenate([path[:-1] for path in straight])
+    ends = np.concatenate([path[1:] for path in straight])
+    free = np.ones(len(paths), bool)
+    proven = certify_edges(robot, scene, starts, ends, edges if several else None)
+    np.logical_and.at(free, edges, proven)
+
+    blends = []
+    for path, good in zip(paths, free, strict=True):
+        half = edges_of(path)[0] / 2
+        most = np.minimum(np.minimum(half[:-1], half[1:]), blend)
+        blends.append(most if good else np.zeros_like(most))
+    owner = np.repeat(np.arange(len(paths)), [len(x) for x in blends])
+    corner = np.concatenate([np.arange(len(x)) for x in blends])
+    width = np.concatenate(blends)
+    open_ones = np.flatnonzero(width > 0)
+    for halving in range(_HALVINGS + 1):
+        chords = [
+            blend_chords(paths[p], corner[rows] + 1, width[rows], _CHORDS)
+            for p in np.unique(owner[open_ones])
+            for rows in [open_ones[owner[open_ones] == p]]
+        ]
+        if not chords:
+            break
+        points, slack = (np.concatenate(x) for x in zip(*chords, strict=True))
+        starts, ends, slack = (
+            x.reshape(-1, robot.num_dof) for x in (points[:, :-1], points[:, 1:], slack)
+        )
+        belongs = np.repeat(owner[open_ones], _CHORDS) if several else None
+        proven = certify_edges(robot, scene, starts, ends, belongs, slack)
+        open_ones = open_ones[~proven.reshape(-1, _CHORDS).all(axis=1)]
+        width[open_ones] *= 0.0 if halving == _HALVINGS else 0.5
+    blends = np.split(width, np.cumsum([len(x) for x in blends])[:-1])
+    return [Smoothed(*each) for each in zip(paths, blends, free.tolist(), strict=True)]

@@ -1,0 +1,253 @@
+"""From a certified path to a motion in time: rounded, and as fast as its limits allow."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnnjax.arm.robot import Robot
+from gnnjax.devices import cache_compilations
+from gnnjax.errors import InputError
+from gnnjax.scene.scene import Scene, inflated
+from gnnjax.trajectory.curve import Curve, make_curve, places, size_of, stray
+from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
+from gnnjax.trajectory.limits import Amounts, Limits, limits_of
+from gnnjax.trajectory.smooth import Smoothed, smooth_paths
+from gnnjax.trajectory.timing import Timing, fastest
+
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+
+
+class Setpoints(NamedTuple):
+    """States at T times of a motion."""
+
+    times: np.ndarray  # [T] s
+    positions: np.ndarray  # [T D] rad or m
+    velocities: np.ndarray  # [T D] rad/s or m/s
+    accelerations: np.ndarray  # [T D] rad/s^2 or m/s^2
+    torques: np.ndarray  # [T D] N m or N, of motors, without contacts
+
+
+class Trajectory(NamedTuple):
+    """A motion along a rounded path, from rest to rest."""
+
+    success: bool
+    reason: str  # why there is no motion; empty on success
+    duration: float  # s; inf without success
+    certified: bool  # the whole curve is proven free of collisions
+    cost_before: float  # length of the path, configuration units
+    cost: float  # length of the curve
+    stray: float  # how far the curve leaves the path at most, configuration units
+    stops: int  # corners that could not be rounded, at which it rests
+    curve: Curve
+    timing: Timing
+
+
+def time_path(
+    robot: Robot,
+    scene: Scene,
+    path: ArrayLike,
+    *,
+    velocity: Amounts | None = None,
+    acceleration: Amounts | None = None,
+    torque: Amounts | None = None,
+    blend: float = 1.0,
+    margin: float = 0.0,
+) -> Trajectory:
+    """The fastest motion along a path whose corners are rounded as far as is certified.
+
+    Compiles for the first path of about its number of corners.
+
+    Args:
+        robot: the arm; what it holds is in its model, with its mass.
+        scene: one scene.
+        path: `[L, D]` configurations, one or more.
+        velocity: limits, one for all joints or one each, rad/s or m/s; by default the model's.
+        acceleration: limits, rad/s^2 or m/s^2; likewise.
+        torque: limits, N m or N; likewise, and none where the model has none.
+        blend: how much of an edge a rounded corner takes at most, configuration units; 0: the
+            motion stops at every corner.
+        margin: clearance from obstacles that the curve keeps, m.
+
+    Raises:
+        InputError: no such path; limits that are missing or not positive; an arm whose dynamics
+            are not known.
+    """
+    found = time_paths(
+        robot,
+        scene,
+        [path],
+        velocity=velocity,
+        acceleration=acceleration,
+        torque=torque,
+        blend=blend,
+        margin=margin,
+    )
+    return found[0]
+
+
+def time_paths(
+    robot: Robot,
+    scene: Scene,
+    paths: Sequence[ArrayLike],
+    *,
+    velocity: Amounts | None = None,
+    acceleration: Amounts | None = None,
+    torque: Amounts | None = None,
+    blend: float = 1.0,
+    margin: float = 0.0,
+) -> list[Trajectory]:
+    """`time_path` of P paths, in one scene or in P scenes `[P, M, ...]`, one each."""
+    limits = limits_of(robot, velocity=velocity, acceleration=acceleration, torque=torque)
+    if not 0 <= blend < np.inf:
+        raise InputError(f"blend is {blend}; give a length in configuration units, or 0")
+    if not paths:
+        return []
+    if np.ndim(scene.mask) == 2 and len(scene.mask) != len(paths):
+        raise InputError(f"{len(paths)} paths in {len(scene.mask)} scenes; give one scene a path")
+    if limits.torque is not None:
+        check_dynamics(robot)
+    checked = [_checked(robot, path) for path in paths]
+    smoothed = smooth_paths(robot, inflated(scene, margin), checked, blend)
+    size = max(size_of(smooth.path) for smooth in smoothed)
+    curves = [make_curve(smooth.path, smooth.blends, size) for smooth in smoothed]
+    timings = _timed(robot, limits, curves)
+    return [
+        _trajectory(robot, limits, *each) for each in zip(smoothed, curves, timings, strict=True)
+    ]
+
+
+def sample_trajectory(robot: Robot, trajectory: Trajectory, dt: float) -> Setpoints:
+    """States of a motion every `dt` seconds, and at its end.
+
+    Torques are those of MuJoCo's inverse dynamics, without contacts, and of dry friction.
+
+    Raises:
+        InputError: no motion, or a step that is none.
+    """
+    if not trajectory.success:
+        raise InputError(f"there is no motion to sample: {trajectory.reason}")
+    if not (dt > 0 and trajectory.duration / dt < 1e7):
+        raise InputError(f"dt is {dt}; give a step in seconds, such as 0.01")
+    count = int(np.ceil(trajectory.duration / dt - 1e-9))
+    return states(robot, trajectory, np.append(np.arange(count) * dt, trajectory.duration))
+
+
+def states(robot: Robot, trajectory: Trajectory, times: np.ndarray) -> Setpoints:
+    """States of a motion at times `[T]` from 0 to its duration."""
+    curve, timing = trajectory.curve, trajectory.timing
+    steps = np.diff(curve.grid)
+    # Intervals of no length take no time, and none begins at a time that another one has.
+    interval = np.searchsorted(timing.times, times, side="right") - 1
+    last = np.flatnonzero(steps > 0)[-1] if (steps > 0).any() else 0
+    interval = np.minimum(interval, last)
+    since = times - timing.times[interval]
+    begin, u = np.sqrt(timing.x[interval]), timing.u[interval]
+    step = steps[interval]
+    way = np.clip(begin * since + u * since**2 / 2, 0.0, step)
+    at = interval + np.divide(way, step, out=np.zeros_like(way), where=step > 0)
+    speed = np.maximum(begin + u * since, 0.0)[:, None]
+    place = places(curve, at)
+    positions = np.asarray(place.q)
+    velocities = place.slope * speed
+    accelerations = place.slope * u[:, None] + place.bend * speed**2
+    torques = inverse_dynamics_by_mujoco(robot, positions, velocities, accelerations)
+    return Setpoints(times, positions, velocities, accelerations, torques)
+
+
+def _checked(robot: Robot, path: ArrayLike) -> np.ndarray:
+    try:
+        array = np.asarray(path, float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.ndim != 2 or array.shape[-1] != robot.num_dof or not len(array):
+        raise InputError(
+            f"path has shape {array.shape}; {robot.name} needs [L, {robot.num_dof}], one "
+            "configuration or more"
+        )
+    if not np.isfinite(array).all():
+        raise InputError("path holds what is no finite number; give joint values")
+    return array
+
+
+def _timed(robot: Robot, limits: Limits, curves: list[Curve]) -> list[Timing]:
+    cache_compilations()
+    number = len(curves)
+    padded = 1
+    while padded < number:  # so that few numbers are compiled
+        padded *= 2
+    curves = curves + curves[:1] * (padded - number)
+    batch = jax.tree.map(lambda *x: np.stack(x), *curves)
+    # Single precision loses what cancels where a row hardly depends on u.
+    with jax.enable_x64(True):
+        found = _compiled(robot)(limits, batch)
+    found = jax.tree.map(np.asarray, found)
+    return [jax.tree.map(lambda x, i=i: x[i], found) for i in range(number)]
+
+
+@functools.cache
+def _compiled(robot: Robot) -> Callable[[Limits, Curve], Timing]:
+    def run(limits: Limits, curves: Curve) -> Timing:
+        alone = functools.partial(fastest, robot, limits)
+        # One curve's rows fit into a core's cache; accelerators want them all at once.
+        if jax.default_backend() == "cpu":
+            return jax.lax.map(alone, curves)
+        return jax.vmap(alone)(curves)
+
+    return jax.jit(run)
+
+
+def _trajectory(
+    robot: Robot, limits: Limits, smooth: Smoothed, curve: Curve, timing: Timing
+) -> Trajectory:
+    reason = ""
+    if not smooth.certified:
+        reason = "the path is not certified free of collisions; plan another one"
+    elif timing.failed_at >= 0:
+        reason = _reason(robot, limits, curve, int(timing.failed_at))
+    path = smooth.path
+    before = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    fine = places(curve, np.arange(0, len(curve.grid) - 0.875, 0.125)).q
+    return Trajectory(
+        success=not reason,
+        reason=reason,
+        duration=np.inf if reason else float(timing.times[-1]),
+        certified=smooth.certified,
+        cost_before=before,
+        cost=float(np.linalg.norm(np.diff(fine, axis=0), axis=1).sum()),
+        stray=float(stray(path, smooth.blends).max(initial=0.0)),
+        stops=int((smooth.blends == 0).sum()),
+        curve=curve,
+        timing=timing,
+    )
+
+
+def _reason(robot: Robot, limits: Limits, curve: Curve, point: int) -> str:
+    """Why nothing leads on from a grid point of a curve, or why the arm cannot even rest."""
+    assert limits.torque is not None  # without torques, rest is always allowed
+    last = len(curve.grid) - 1
+    at = np.append(np.flatnonzero(curve.stops), point)  # the start comes first
+    place = places(curve, at.astype(float))
+    still = np.zeros_like(place.q)
+    needed = np.abs(inverse_dynamics_by_mujoco(robot, place.q, still, still))
+    shares = (needed / limits.torque).max(axis=1)
+    row = int((shares > 1).argmax()) if (shares > 1).any() else len(at) - 1
+    joint = int((needed[row] / limits.torque).argmax())
+    name, need, limit = robot.joint_names[joint], needed[row, joint], limits.torque[joint]
+    ends = {0: "at the start", last: "at the goal"}
+    along = curve.grid[at[row]] / max(curve.grid[-1], 1e-12)
+    where = ends.get(int(at[row]), f"{along:.0%} along the path (grid point {at[row]})")
+    unit = "N m" if robot.mj_model.jnt_type[joint] == _HINGE else "N"
+    if need > limit:
+        return (
+            f"joint {name} needs {need:.4g} {unit} to hold the arm {where} and has {limit:.4g}; "
+            "carry less, or plan elsewhere"
+        )
+    return (
+        f"no speed keeps the limits {where}: joint {name} needs {need:.4g} of its {limit:.4g} "
+        f"{unit} to hold the arm alone"
+    )

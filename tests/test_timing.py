@@ -1,0 +1,317 @@
+"""Motions in time: their limits on a fine scan, their durations against closed forms and a dense
+search in the phase plane."""
+
+import jax
+import numpy as np
+import pytest
+
+from gnnjax.arm.robot import load_robot
+from gnnjax.errors import InputError
+from gnnjax.scene.scene import make_scene
+from gnnjax.scene.shapes import sphere
+from gnnjax.trajectory.curve import distinct, edges_of, make_curve, places, size_of
+from gnnjax.trajectory.dynamics import inverse_dynamics_by_mujoco
+from gnnjax.trajectory.limits import Limits, limits_of
+from gnnjax.trajectory.trajectory import sample_trajectory, states, time_path, time_paths
+from tests.conftest import TINY
+
+NOTHING = make_scene([], [])
+# Of the tiny arm, which weighs about 3 kg and needs up to 8 N m to be held.
+SPEEDS, PUSHES, TORQUES = [2.0, 1.5, 3.0], [6.0, 4.0, 9.0], [20.0, 14.0, 6.0]
+
+
+@pytest.fixture(scope="module")
+def tiny(tiny_path):
+    return load_robot(tiny_path)
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory):
+    """The tiny arm, whose links may touch, so that all paths are certified."""
+    path = tmp_path_factory.mktemp("robots") / "free.xml"
+    path.write_text(
+        TINY.replace('contype="1" conaffinity="1"', 'contype="0" conaffinity="0"', 1).replace(
+            "<worldbody>",
+            '<contact><exclude body1="upper" body2="lower"/></contact><worldbody>',
+            1,
+        )
+    )
+    return load_robot(path)
+
+
+def random_paths(robot, number, seed=0):
+    rng = np.random.default_rng(seed)
+    span = 0.9 * robot.joint_lower, 0.9 * robot.joint_upper
+    return [rng.uniform(*span, (rng.integers(2, 7), robot.num_dof)) for _ in range(number)]
+
+
+def most_used(robot, limits, trajectory):
+    """The largest share of limits that a motion uses, on a grid ten times denser than its own."""
+    times = trajectory.timing.times
+    parts = np.arange(10)[:, None] / 10
+    fine = np.append((times[:-1] + parts * np.diff(times)).T.ravel(), times[-1])
+    found = states(robot, trajectory, np.unique(fine))
+    used = [found.velocities / limits.velocity, found.accelerations / limits.acceleration]
+    if limits.torque is not None:
+        used.append(found.torques / limits.torque)
+    return max(np.abs(x).max() for x in used)
+
+
+@pytest.mark.parametrize("torque", [None, TORQUES])
+@pytest.mark.parametrize("blend", [0.0, 0.4])
+def test_limits_hold_between_grid_points_and_one_is_always_reached(free, torque, blend):
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=torque)
+    paths = random_paths(free, 100)
+    found = time_paths(free, NOTHING, paths, **limits._asdict(), blend=blend)
+    assert all(x.success and x.certified for x in found), [x.reason for x in found]
+    shares = [most_used(free, limits, x) for x in found]
+    assert max(shares) < 1.001
+    assert min(shares) > 0.98
+    assert [x.stops for x in found] == [0 if blend else len(path) - 2 for path in paths]
+
+
+def test_limits_hold_for_a_shipped_arm():
+    robot = load_robot("kuka_iiwa14")
+    limits = limits_of(robot, acceleration=8.0, torque=robot.torque_limit * 0.45)
+    rng = np.random.default_rng(1)
+    paths = [
+        robot.home + np.cumsum(rng.normal(scale=0.3, size=(5, robot.num_dof)), 0) for _ in range(16)
+    ]
+    found = [x for x in time_paths(robot, NOTHING, paths, **limits._asdict()) if x.certified]
+    assert len(found) > 5
+    assert all(x.success for x in found)
+    assert max(most_used(robot, limits, x) for x in found) < 1.001
+
+
+def trapezoid(way, speed, push):
+    """Seconds of a motion from rest to rest."""
+    return 2 * np.sqrt(way / push) if way < speed**2 / push else way / speed + speed / push
+
+
+@pytest.mark.parametrize("way", [0.05, 0.7, 2.5])
+def test_a_straight_line_takes_as_long_as_the_closed_form(tiny, way):
+    direction = np.array([0.6, 0.5, -0.3])
+    path = np.array([[0.0, 0.0, 0.0], way * direction])
+    limits = limits_of(tiny, velocity=SPEEDS, acceleration=PUSHES)
+    speed, push = (np.min(x / np.abs(direction)) for x in limits[:2])
+    found = time_path(tiny, NOTHING, path, velocity=SPEEDS, acceleration=PUSHES)
+    assert found.duration == pytest.approx(trapezoid(way, speed, push), rel=2e-3)
+    assert found.duration >= trapezoid(way, speed, push) * (1 - 1e-9)
+
+
+def test_a_motion_stops_at_corners_that_are_not_rounded(free):
+    path = random_paths(free, 5, seed=3)[-1]
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES)
+    whole = time_path(free, NOTHING, path, **limits._asdict(), blend=0.0)
+    lengths, directions = edges_of(path)
+    apart = [
+        trapezoid(way, *(np.min(x / np.abs(to)) for x in limits[:2]))
+        for way, to in zip(lengths, directions, strict=True)
+    ]
+    assert whole.stops == len(path) - 2
+    assert whole.duration == pytest.approx(sum(apart), rel=5e-3)
+    assert whole.duration > time_path(free, NOTHING, path, **limits._asdict()).duration
+
+
+def searched(robot, limits, curve, fine=4000, speeds=None):
+    """Duration by integration in the phase plane: the largest speeds from which the end can be
+    reached on a dense grid, by bisection of x, with u from the limits at both ends of a step."""
+    number = len(curve.grid) - 1
+    at = np.linspace(0, number, fine + 1)
+    place = places(curve, at)
+    s = np.interp(at, np.arange(number + 1), curve.grid)
+    still = np.zeros_like(place.q)
+
+    def torques(v, a):
+        return inverse_dynamics_by_mujoco(robot, place.q, v, a)
+
+    rest = torques(still, still)
+    inertia = torques(still, place.slope) - rest
+    speed = torques(place.slope, place.bend) - rest  # the tiny arm has no damping
+    a = np.concatenate([place.slope, inertia], 1)
+    b = np.concatenate([place.bend, speed], 1)
+    top = np.concatenate([np.tile(limits.acceleration, (fine + 1, 1)), limits.torque - rest], 1)
+    low = np.concatenate([np.tile(-limits.acceleration, (fine + 1, 1)), -limits.torque - rest], 1)
+    ceiling = ((limits.velocity / np.maximum(np.abs(place.slope), 1e-9)) ** 2).min(1)
+
+    def least_and_most(i, x):
+        """u at point i for many x `[X]`."""
+        safe = np.where(np.abs(a[i]) < 1e-9, 1e-9, a[i])
+        one, two = (top[i] - b[i] * x[:, None]) / safe, (low[i] - b[i] * x[:, None]) / safe
+        return np.minimum(one, two).max(1), np.maximum(one, two).min(1)
+
+    reach = np.zeros(fine + 1)
+    for i in reversed(range(fine)):
+        x, step = np.linspace(0, 1, 2001), s[i + 1] - s[i]
+        lower, upper = 0.0, min(ceiling[i], 1e4)
+        for _ in range(2):  # finer about the largest that leads on
+            tried = lower + x * (upper - lower)
+            least, most = least_and_most(i, tried)
+            good = (least <= most) & (tried + 2 * step * least <= reach[i + 1])
+            k = np.flatnonzero(good)[-1]
+            lower, upper = tried[k], tried[min(k + 1, 2000)]
+        reach[i] = lower
+    speeds = np.zeros(fine + 1)
+    for i in range(fine):
+        _, most = least_and_most(i, speeds[i : i + 1])
+        speeds[i + 1] = min(speeds[i] + 2 * (s[i + 1] - s[i]) * most[0], reach[i + 1])
+    return float((2 * np.diff(s) / (np.sqrt(speeds[1:]) + np.sqrt(speeds[:-1]))).sum())
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_durations_are_those_of_a_dense_search(free, number):
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)
+    path = random_paths(free, 8, seed=5)[number]
+    found = time_path(free, NOTHING, path, **limits._asdict())
+    assert found.stops == 0
+    assert found.duration == pytest.approx(searched(free, limits, found.curve), rel=0.01)
+
+
+def test_a_batch_is_what_its_paths_are_alone(free):
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)._asdict()
+    paths = [path for path in random_paths(free, 12) if size_of(path) == 4]
+    for together, path in zip(time_paths(free, NOTHING, paths, **limits), paths, strict=True):
+        alone = time_path(free, NOTHING, path, **limits)
+        np.testing.assert_allclose(together.timing.times, alone.timing.times, rtol=1e-9)
+        assert together.cost == alone.cost
+
+
+def test_states_are_those_of_one_smooth_motion(free):
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)
+    path = random_paths(free, 8, seed=5)[3]
+    found = time_path(free, NOTHING, path, **limits._asdict())
+    points = sample_trajectory(free, found, 1e-4)
+    np.testing.assert_allclose(points.positions[[0, -1]], path[[0, -1]], atol=1e-9)
+    np.testing.assert_allclose(points.velocities[[0, -1]], 0, atol=1e-6)
+    assert points.times[-1] == found.duration
+    steps = np.diff(points.times)[:-1, None]  # the last one is shorter
+    gone = np.diff(points.positions, axis=0)[:-1] / steps
+    mean = (points.velocities[1:] + points.velocities[:-1])[:-1] / 2
+    np.testing.assert_allclose(gone, mean, atol=2e-3)
+    faster = np.abs(np.diff(points.velocities, axis=0)[:-1] / steps)
+    assert (faster <= limits.acceleration * 1.001).all()
+
+
+@pytest.mark.parametrize("path", [np.zeros((1, 3)), np.zeros((4, 3))])
+def test_a_path_that_stays_takes_no_time(tiny, path):
+    found = time_path(tiny, NOTHING, path, velocity=1.0, acceleration=1.0, torque=50.0)
+    assert found.success
+    assert found.duration == 0
+    points = sample_trajectory(tiny, found, 0.01)
+    np.testing.assert_array_equal(points.positions, np.zeros((1, 3)))
+
+
+def test_repeated_points_do_not_stop_a_motion(free):
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES)._asdict()
+    path = random_paths(free, 5, seed=3)[-1]
+    twice = np.repeat(path, 3, axis=0)
+    np.testing.assert_array_equal(distinct(twice), path)
+    alone, many = (time_path(free, NOTHING, p, **limits) for p in (path, twice))
+    assert many.duration == alone.duration
+
+
+def test_a_path_that_turns_back_is_followed(free):
+    path = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.2], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)
+    for blend in (0.0, 0.3):
+        found = time_path(free, NOTHING, path, **limits._asdict(), blend=blend)
+        assert found.success
+        assert most_used(free, limits, found) < 1.001
+
+
+def test_an_arm_that_cannot_hold_what_it_carries_is_told_so(tiny):
+    path = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    limits = {"velocity": SPEEDS, "acceleration": PUSHES, "torque": TORQUES}
+    assert time_path(tiny, NOTHING, path, **limits).success
+    held = tiny.attach("lower", [sphere([0.3, 0, 0], 0.03)], mass=5.0)
+    found = time_path(held, NOTHING, path, **limits)
+    assert not found.success
+    assert found.duration == np.inf
+    needed = np.abs(inverse_dynamics_by_mujoco(held, path[:1], *np.zeros((2, 1, 3)))[0, 2])
+    assert needed > TORQUES[2]
+    assert found.reason == (
+        f"joint c needs {needed:.4g} N m to hold the arm at the start and has 6; carry less, or "
+        "plan elsewhere"
+    )
+    with pytest.raises(InputError, match="there is no motion to sample: joint c needs"):
+        sample_trajectory(held, found, 0.01)
+
+
+def test_an_arm_too_weak_on_its_way_is_told_where(tiny):
+    # Upright at both ends, stretched out in between.
+    path = np.array([[0.0, -1.5, 0.0], [0.0, 0.0, 0.0], [0.0, -1.5, 0.3]])
+    needed = np.abs(inverse_dynamics_by_mujoco(tiny, path, *np.zeros((2, 3, 3))))
+    limits = {"velocity": 1.0, "acceleration": 1.0, "torque": [50, needed[1, 1] * 0.6, 50]}
+    found = time_path(tiny, NOTHING, path, **limits)
+    assert not found.success
+    assert "joint b needs" in found.reason
+    assert "% along the path (grid point" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({}, r"tiny has no velocity limits; give velocity=\.\.\. \(rad/s\), or put <numeric"),
+        ({"velocity": 1.0}, r"no acceleration limits; give acceleration=\.\.\. \(rad/s\^2; makers"),
+        ({"velocity": 0.0}, r"velocity limits of tiny are 0.0; give one positive number, or 3"),
+        ({"velocity": [1, 1]}, r"velocity limits of tiny are \[1, 1\]; give one positive"),
+        ({"velocity": 1, "acceleration": [1, -1, 1]}, "acceleration limits of tiny are"),
+        ({"velocity": 1, "acceleration": np.nan}, "acceleration limits of tiny are nan"),
+        ({"velocity": 1, "acceleration": 1, "torque": np.inf}, "torque limits of tiny are inf"),
+        ({"velocity": 1, "acceleration": "much"}, "acceleration limits of tiny are 'much'"),
+        ({"velocity": 1, "acceleration": 1, "blend": -1.0}, "blend is -1.0; give a length"),
+    ],
+)
+def test_limits_that_are_none_are_refused(tiny, limits, message):
+    with pytest.raises(InputError, match=message):
+        time_path(tiny, NOTHING, np.zeros((2, 3)), **limits)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (np.zeros((0, 3)), r"path has shape \(0, 3\); tiny needs \[L, 3\], one configuration"),
+        (np.zeros((2, 4)), r"path has shape \(2, 4\)"),
+        (np.full((2, 3), np.nan), "path holds what is no finite number"),
+    ],
+)
+def test_paths_that_are_none_are_refused(tiny, path, message):
+    with pytest.raises(InputError, match=message):
+        time_path(tiny, NOTHING, path, velocity=1.0, acceleration=1.0)
+
+
+@pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, 1e-12])
+def test_steps_that_are_none_are_refused(tiny, dt):
+    found = time_path(tiny, NOTHING, [[0, 0, 0], [1, 0, 0]], velocity=1.0, acceleration=1.0)
+    with pytest.raises(InputError, match="give a step in seconds"):
+        sample_trajectory(tiny, found, dt)
+
+
+def test_the_grid_of_a_curve_has_all_its_corners():
+    rng = np.random.default_rng(0)
+    for number in range(2, 12):
+        path = rng.normal(size=(number, 3))
+        half = edges_of(path)[0] / 2
+        blends = np.minimum(half[:-1], half[1:]) * rng.integers(0, 2, number - 2)
+        curve = make_curve(path, blends, size_of(path))
+        assert (np.diff(curve.grid) >= 0).all()
+        for corner, blend in enumerate(blends):
+            ends = curve.grid[[curve.entries[corner], curve.exits[corner]]]
+            np.testing.assert_allclose(ends, curve.corners[corner] + [-blend, blend], atol=1e-9)
+            assert curve.stops[curve.entries[corner]] == (blend == 0)
+        # Its derivatives are those of its positions.
+        at = np.linspace(0.01, len(curve.grid) - 1.01, 200)
+        assert isinstance(jax.tree.leaves(places(curve, at))[0], np.ndarray)
+        np.testing.assert_allclose(places(curve, at[:1] * 0).q[0], path[0])
+        np.testing.assert_allclose(
+            places(curve, np.array([len(curve.grid) - 1.0])).q[0], path[-1], atol=1e-12
+        )
+
+
+def test_limits_of_a_model_are_taken_where_none_are_given():
+    robot = load_robot("franka_panda")
+    limits = limits_of(robot, acceleration=3.0)
+    assert isinstance(limits, Limits)
+    np.testing.assert_allclose(limits.velocity, robot.velocity_limit)
+    np.testing.assert_allclose(limits.torque, robot.torque_limit)
+    np.testing.assert_array_equal(limits.acceleration, np.full(7, 3.0))
