@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -15,6 +16,9 @@ from gnnjax.problems.moveit import problem_from_moveit
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
+from gnnjax.trajectory.files import check_trajectory_file, save_trajectory
+from gnnjax.trajectory.limits import limits_of
+from gnnjax.trajectory.trajectory import check_blend, check_step, time_path
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -40,6 +44,20 @@ class PlanConfig(PlannerOptions):
     proven) and counts."""
     image: Path | None = None
     """Where a picture of the path goes (needs the viz extra)."""
+    trajectory: Path | None = None
+    """Where the fastest motion along the path goes: .npz (arrays), .csv (a table) or .json (as
+    ROS's trajectory_msgs/JointTrajectory)."""
+    velocity: tuple[float, ...] | None = None
+    """Of the motion: limits, one for all joints or one each, rad/s; the model's by default."""
+    acceleration: tuple[float, ...] | None = None
+    """Of the motion: limits likewise, rad/s^2."""
+    torque: tuple[float, ...] | None = None
+    """Of the motion: limits likewise, N m."""
+    blend: float = 1.0
+    """Of the motion: how much of an edge a rounded corner takes at most, rad; 0: it stops at
+    corners."""
+    dt: float = 0.01
+    """Of the motion: seconds between the states in its file."""
     seed: int = 0
     """Seed of the roadmaps."""
 
@@ -52,6 +70,11 @@ def main(config: PlanConfig) -> int:
     if config.attach is not None:
         robot = attach_from_json(robot, config.attach)
     start, goal, scene = _read(config, robot)
+    if config.trajectory is not None:
+        check_trajectory_file(config.trajectory)
+        limits_of(robot, **_limits(config))
+        check_step(config.dt)
+        check_blend(config.blend)
     planner = own_planner(robot, config)
     draw = None
     if config.image is not None:
@@ -87,7 +110,29 @@ def main(config: PlanConfig) -> int:
     if config.image is not None and draw is not None:
         draw(planner.robot, scene, plan.path, config.image)
         print(f"wrote {config.image}")
+    if config.trajectory is not None:
+        motion = time_path(
+            planner.robot,
+            scene,
+            plan.path,
+            **_limits(config),
+            blend=config.blend,
+            margin=config.margin,
+        )
+        if not motion.success:
+            print(f"no motion: {motion.reason}")
+            return 1
+        save_trajectory(planner.robot, motion, config.trajectory, config.dt)
+        print(
+            f"motion of {motion.duration:.2f} s, certified free, {motion.stops} stops on its way; "
+            f"wrote {config.trajectory}"
+        )
     return 0
+
+
+def _limits(config: PlanConfig) -> dict[str, Any]:
+    """Those of the motion, for `time_path`."""
+    return {name: getattr(config, name) for name in ("velocity", "acceleration", "torque")}
 
 
 def _read(config: PlanConfig, robot: Robot) -> Problem:

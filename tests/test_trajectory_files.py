@@ -8,6 +8,8 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
+from gnnjax.plan import PlanConfig
+from gnnjax.plan import main as plan_once
 from gnnjax.scene.scene import make_scene
 from gnnjax.trajectory.files import save_trajectory
 from gnnjax.trajectory.trajectory import sample_trajectory, time_path
@@ -51,3 +53,55 @@ def test_other_endings_are_refused(motion, tmp_path, name):
     with pytest.raises(InputError, match=r"has the ending .*; give \.npz \(arrays\), \.csv"):
         save_trajectory(*motion, tmp_path / name)
     assert not list(tmp_path.iterdir())
+
+
+def config_of(tiny_path, tmp_path, **changes):
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps({"boxes": [{"center": [0.6, 0, 0], "half_extents": [0.1] * 3}]}))
+    return PlanConfig(
+        robot=str(tiny_path),
+        scene=scene,
+        start=(-1.5, 0.0, 0.0),
+        goal=(1.5, 0.0, 0.0),
+        out=tmp_path / "path.npz",
+        planner="lazysp",
+        num_nodes=60,
+        max_roadmaps=2,
+        **changes,
+    )
+
+
+LIMITS = {"velocity": (1.0,), "acceleration": (2.0, 3.0, 4.0)}
+
+
+def test_the_command_writes_a_motion_from_start_to_goal(tiny_path, tmp_path, capsys):
+    config = config_of(tiny_path, tmp_path, trajectory=tmp_path / "motion.json", **LIMITS)
+    assert plan_once(config) == 0
+    points = json.loads(config.trajectory.read_text())["points"]
+    ends = [points[0]["positions"], points[-1]["positions"]]
+    np.testing.assert_allclose(ends, [config.start, config.goal], atol=1e-9)
+    assert "motion of " in capsys.readouterr().out
+
+
+def test_the_command_says_why_there_is_no_motion(tiny_path, tmp_path, capsys):
+    weak = {"trajectory": tmp_path / "motion.csv", "torque": (50.0, 1.0, 50.0), **LIMITS}
+    assert plan_once(config_of(tiny_path, tmp_path, **weak)) == 1
+    assert "no motion: joint b needs" in capsys.readouterr().out
+    assert not (tmp_path / "motion.csv").exists()
+    assert (tmp_path / "path.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({**LIMITS, "trajectory": "motion.txt"}, "has the ending '.txt'; give .npz"),
+        ({"velocity": (1.0,), "trajectory": "motion.npz"}, "tiny has no acceleration limits"),
+        ({**LIMITS, "trajectory": "motion.npz", "dt": 0.0}, "dt is 0.0; give a step"),
+        ({**LIMITS, "trajectory": "motion.npz", "blend": -1.0}, "blend is -1.0; give a length"),
+    ],
+)
+def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, given, message):
+    given["trajectory"] = tmp_path / given["trajectory"]
+    with pytest.raises(InputError, match=message):
+        plan_once(config_of(tiny_path, tmp_path, **given))
+    assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]

@@ -103,8 +103,7 @@ def time_paths(
 ) -> list[Trajectory]:
     """`time_path` of P paths, in one scene or in P scenes `[P, M, ...]`, one each."""
     limits = limits_of(robot, velocity=velocity, acceleration=acceleration, torque=torque)
-    if not 0 <= blend < np.inf:
-        raise InputError(f"blend is {blend}; give a length in configuration units, or 0")
+    check_blend(blend)
     if not paths:
         return []
     if np.ndim(scene.mask) == 2 and len(scene.mask) != len(paths):
@@ -131,8 +130,7 @@ def sample_trajectory(robot: Robot, trajectory: Trajectory, dt: float) -> Setpoi
     """
     if not trajectory.success:
         raise InputError(f"there is no motion to sample: {trajectory.reason}")
-    if not (dt > 0 and trajectory.duration / dt < 1e7):
-        raise InputError(f"dt is {dt}; give a step in seconds, such as 0.01")
+    check_step(dt)
     count = int(np.ceil(trajectory.duration / dt - 1e-9))
     return states(robot, trajectory, np.append(np.arange(count) * dt, trajectory.duration))
 
@@ -157,6 +155,18 @@ def states(robot: Robot, trajectory: Trajectory, times: np.ndarray) -> Setpoints
     accelerations = place.slope * u[:, None] + place.bend * speed**2
     torques = inverse_dynamics_by_mujoco(robot, positions, velocities, accelerations)
     return Setpoints(times, positions, velocities, accelerations, torques)
+
+
+def check_blend(blend: float) -> None:
+    """Refuses a length of blends that is none."""
+    if not 0 <= blend < np.inf:
+        raise InputError(f"blend is {blend}; give a length in configuration units, or 0")
+
+
+def check_step(dt: float) -> None:
+    """Refuses a time between states that is none, or so short that they fill the memory."""
+    if not 1e-5 <= dt < np.inf:
+        raise InputError(f"dt is {dt}; give a step in seconds, such as 0.01")
 
 
 def _checked(robot: Robot, path: ArrayLike) -> np.ndarray:
