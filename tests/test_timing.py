@@ -167,13 +167,17 @@ def test_durations_are_those_of_a_dense_search(free, number):
     assert found.duration == pytest.approx(searched(free, limits, found.curve), rel=0.01)
 
 
-def test_a_batch_is_what_its_paths_are_alone(free):
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])  # which computes many curves at once
+def test_a_batch_is_what_its_paths_are_alone(free, monkeypatch, backend):
     limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)._asdict()
-    paths = [path for path in random_paths(free, 12) if size_of(path) == 4]
-    for together, path in zip(time_paths(free, NOTHING, paths, **limits), paths, strict=True):
-        alone = time_path(free, NOTHING, path, **limits)
-        np.testing.assert_allclose(together.timing.times, alone.timing.times, rtol=1e-9)
-        assert together.cost == alone.cost
+    paths = random_paths(free, 12)
+    assert {size_of(path) for path in paths} == {2, 4}
+    alone = [time_path(free, NOTHING, path, **limits) for path in paths]
+    monkeypatch.setattr("gnnjax.trajectory.trajectory.jax.default_backend", lambda: backend)
+    together = time_paths(free, NOTHING, paths, **limits)
+    for one, other in zip(together, alone, strict=True):
+        np.testing.assert_allclose(one.timing.times, other.timing.times, rtol=1e-9)
+        assert (one.cost, one.stops) == (other.cost, other.stops)
 
 
 def test_states_are_those_of_one_smooth_motion(free):

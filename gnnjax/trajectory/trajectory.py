@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
@@ -112,8 +112,7 @@ def time_paths(
         check_dynamics(robot)
     checked = [_checked(robot, path) for path in paths]
     smoothed = smooth_paths(robot, inflated(scene, margin), checked, blend)
-    size = max(size_of(smooth.path) for smooth in smoothed)
-    curves = [make_curve(smooth.path, smooth.blends, size) for smooth in smoothed]
+    curves = [make_curve(x.path, x.blends, size_of(x.path)) for x in smoothed]
     timings = _timed(robot, limits, curves)
     return [
         _trajectory(robot, limits, *each) for each in zip(smoothed, curves, timings, strict=True)
@@ -185,30 +184,32 @@ def _checked(robot: Robot, path: ArrayLike) -> np.ndarray:
 
 
 def _timed(robot: Robot, limits: Limits, curves: list[Curve]) -> list[Timing]:
+    """The fastest motions along curves, which are of several sizes."""
     cache_compilations()
-    number = len(curves)
-    padded = 1
-    while padded < number:  # so that few numbers are compiled
-        padded *= 2
-    curves = curves + curves[:1] * (padded - number)
-    batch = jax.tree.map(lambda *x: np.stack(x), *curves)
+    alone, together = _compiled(robot)
+    found: list[Any] = [None] * len(curves)
     # Single precision loses what cancels where a row hardly depends on u.
     with jax.enable_x64(True):
-        found = _compiled(robot)(limits, batch)
-    found = jax.tree.map(np.asarray, found)
-    return [jax.tree.map(lambda x, i=i: x[i], found) for i in range(number)]
+        if jax.default_backend() == "cpu":  # whose caches hold the rows of one curve
+            found = [alone(limits, curve) for curve in curves]
+        else:
+            for size in {len(curve.grid) for curve in curves}:
+                rows = [i for i, curve in enumerate(curves) if len(curve.grid) == size]
+                padded = 1
+                while padded < len(rows):  # so that few numbers are compiled
+                    padded *= 2
+                own = [curves[i] for i in rows + rows[:1] * (padded - len(rows))]
+                timings = together(limits, jax.tree.map(lambda *x: np.stack(x), *own))
+                for number, i in enumerate(rows):
+                    found[i] = jax.tree.map(lambda x, n=number: x[n], timings)
+    return jax.tree.map(np.asarray, found)
 
 
 @functools.cache
-def _compiled(robot: Robot) -> Callable[[Limits, Curve], Timing]:
-    def run(limits: Limits, curves: Curve) -> Timing:
-        alone = functools.partial(fastest, robot, limits)
-        # One curve's rows fit into a core's cache; accelerators want them all at once.
-        if jax.default_backend() == "cpu":
-            return jax.lax.map(alone, curves)
-        return jax.vmap(alone)(curves)
-
-    return jax.jit(run)
+def _compiled(robot: Robot) -> tuple[Callable, Callable]:
+    """`fastest` for one curve and for many."""
+    run = functools.partial(fastest, robot)
+    return jax.jit(run), jax.jit(jax.vmap(run, in_axes=(None, 0)))
 
 
 def _trajectory(
