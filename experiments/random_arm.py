@@ -4,6 +4,9 @@ A base that is turned and lifted, one or two joints a body, hinges and slides, s
 off the origin, references, spheres and capsules, explicit contact pairs and exclusions.
 """
 
+from pathlib import Path
+
+import mujoco
 import numpy as np
 
 BASE = "base"  # the body that obstacles are placed on
@@ -70,3 +73,19 @@ def _numbers(values: np.ndarray) -> str:
 def _quat(rng: np.random.Generator, spread: float = 1.0) -> str:
     """A rotation: any, or one within about `spread` of none."""
     return _numbers(np.array([1 - spread, 0, 0, 0]) + spread * rng.normal(size=4) / 2)
+
+
+def distorted_arm(rng: np.random.Generator, path: Path) -> str:
+    """The MJCF of an arm whose links are put together slightly otherwise than in a file."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.meshdir = str((path.parent / spec.meshdir).resolve())
+    for body in spec.bodies[1:]:
+        body.pos = body.pos * rng.uniform(0.9, 1.1, 3)
+        turn = np.append(1.0, rng.normal(size=3) * 0.05)
+        turned = np.zeros(4)
+        mujoco.mju_mulQuat(turned, np.asarray(body.quat, float), turn / np.linalg.norm(turn))
+        body.quat = turned
+    for joint in spec.joints:
+        joint.axis = joint.axis + rng.normal(size=3) * 0.05
+    spec.compile()
+    return spec.to_xml()

@@ -18,6 +18,8 @@ CONSUMERS = {
     "picture": "gnnjax.plot",
     "change of frame": "gnnjax.scene.pose",
     "held object": "gnnjax.scene.held",
+    "judge": "experiments.judge",
+    "campaign": "experiments.campaign_edges",
 }
 
 

@@ -1,0 +1,215 @@
+"""Certified motions for the campaign against the certificate, and those that graze."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import mujoco
+import numpy as np
+
+from experiments.judge import ROOM, Arm
+from gnnjax.collision.certify import certify_edges
+from gnnjax.scene.cloud import Cloud
+from gnnjax.scene.scene import Scene, scene_from_shapes, stack_scenes, unit_quats
+from gnnjax.scene.shapes import (
+    KINDS,
+    Shape,
+    box,
+    capsule,
+    cylinder,
+    for_every_kind,
+    half_space,
+    sphere,
+)
+
+_SCENES = 64  # at once
+_STARTS = 6  # a scene, of which those that are certified are kept
+_BISECTIONS = 14
+_LENGTHS = (0.2, 1.5)  # of edges, configuration units
+_PLACES = {"half_space": "point"}  # of others it is their center
+
+
+class Edges(NamedTuple):
+    """E motions, each in a scene of its own; shapes are in the order of the scene's obstacles."""
+
+    shapes: list[list[Shape]]
+    scenes: Scene  # [E M ...]
+    clouds: list[tuple[np.ndarray, np.ndarray] | None]  # pose of the world's cloud
+    starts: np.ndarray  # [E D]
+    ends: np.ndarray  # [E D]
+
+    def take(self, chosen: np.ndarray) -> "Edges":
+        """Those of a mask `[E]`, or of some rows."""
+        rows = np.arange(len(self.starts))[chosen]
+        return Edges(
+            [self.shapes[i] for i in rows],
+            jax.tree.map(lambda x: x[rows], self.scenes),
+            [self.clouds[i] for i in rows],
+            self.starts[rows],
+            self.ends[rows],
+        )
+
+
+def _draw_round(rng: np.random.Generator, make: Callable, reach: float) -> Shape:
+    sizes = reach * rng.uniform([0.02, 0.03], [0.12, 0.35])
+    return make(_place(rng, reach), *sizes.tolist(), rng.normal(size=4))
+
+
+def _place(rng: np.random.Generator, reach: float) -> np.ndarray:
+    return rng.uniform(-reach, reach, 3)
+
+
+def _draw_half_space(rng: np.random.Generator, reach: float) -> Shape:
+    normal = rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    return half_space(-reach * rng.uniform(0.15, 0.9) * normal, normal)
+
+
+# Obstacles within reach [m] of the base.
+_DRAWS = for_every_kind(
+    "campaign",
+    box=lambda rng, reach: box(
+        _place(rng, reach), reach * rng.uniform(0.03, 0.2, 3), rng.normal(size=4)
+    ),
+    sphere=lambda rng, reach: sphere(_place(rng, reach), reach * rng.uniform(0.03, 0.2)),
+    capsule=lambda rng, reach: _draw_round(rng, capsule, reach),
+    cylinder=lambda rng, reach: _draw_round(rng, cylinder, reach),
+    half_space=_draw_half_space,
+)
+
+
+def draw_points(rng: np.random.Generator, reach: float) -> np.ndarray:
+    """A patch of a surface `[K, 3]` m, about its middle, as sparse as a cloud may be."""
+    u, v = rng.uniform(-1, 1, (2, int(rng.integers(20, 60))))
+    bend = rng.uniform(-1, 1, 3)
+    return (0.2 * reach * np.stack([u, v, bend @ [u * u, u * v, v * v]], axis=1)).astype("f4")
+
+
+def draw_shapes(rng: np.random.Generator, reach: float) -> list[Shape]:
+    """A few obstacles of any kinds; few of them are half-spaces, which bar half of the room."""
+    num = int(rng.integers(1, 6))
+    kinds = rng.choice(KINDS, num, p=[0.24, 0.23, 0.23, 0.23, 0.07])
+    counts = {kind: min(int((kinds == kind).sum()), ROOM[kind]) for kind in KINDS}
+    return [_DRAWS[kind](rng, reach) for kind, many in counts.items() for _ in range(many)]
+
+
+def draw_edges(
+    rng: np.random.Generator, arm: Arm, reach: float, cloud: tuple[np.ndarray, float] | None
+) -> Edges:
+    """Certified edges, as they come.
+
+    Args:
+        rng: randomness.
+        arm: whose motions they are.
+        reach: m, of obstacles.
+        cloud: points about their own origin, and radius of the balls, that are put somewhere.
+    """
+    robot, scenes, shapes, poses = arm.robot, [], [], []
+    for _ in range(_SCENES):
+        shapes.append(draw_shapes(rng, reach))
+        poses.append(
+            None if cloud is None else (_place(rng, reach), unit_quats(rng.normal(size=4)))
+        )
+        scenes.append(_scene(shapes[-1], cloud, poses[-1]))
+    stacked = stack_scenes(scenes)
+    owner = np.repeat(np.arange(_SCENES), _STARTS)
+    starts = rng.uniform(robot.joint_lower, robot.joint_upper, (len(owner), robot.num_dof))
+    ways = _directions(rng, *starts.shape) * rng.uniform(*_LENGTHS, (len(owner), 1))
+    ends = np.clip(starts + ways, robot.joint_lower, robot.joint_upper)
+    held = np.flatnonzero(certify_edges(robot, stacked, starts, ends, owner))
+    nothing = np.zeros((_SCENES, 0))
+    every = Edges(shapes, stacked, poses, nothing, nothing).take(owner[held])
+    return every._replace(starts=starts[held], ends=ends[held])
+
+
+def _scene(shapes: list[Shape], cloud, pose) -> Scene:
+    scene = scene_from_shapes(shapes)
+    if cloud is None:
+        return scene
+    points, radius = cloud
+    placed = (pose[0] + _turned(points.astype(float), pose[1])).astype(np.float32)
+    # Without the grid, which certificates do not look at.
+    nothing = np.zeros(3, np.float32)
+    count = np.int32(len(points))
+    return scene._replace(
+        cloud=Cloud(placed, count, np.float32(radius), nothing, nothing + 1, nothing[:0])
+    )
+
+
+def _turned(points: np.ndarray, quat: np.ndarray) -> np.ndarray:
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quat)
+    return points @ matrix.reshape(3, 3).T
+
+
+def _directions(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    ways = rng.normal(size=shape)
+    return ways / np.linalg.norm(ways, axis=1, keepdims=True)
+
+
+def push(rng: np.random.Generator, arm: Arm, edges: Edges) -> Edges:
+    """Edges with an obstacle each, or its cloud, pushed towards the arm while certificates hold."""
+    robot, scenes, num = arm.robot, edges.scenes, len(edges.starts)
+    data = mujoco.MjData(robot.mj_model)  # whose world is the base
+    moving = robot.geom_ids[robot.geom_bodies >= 0]
+    chosen, ways = np.zeros(num, int), np.zeros((num, 3))
+    for i, (own, pose) in enumerate(zip(edges.shapes, edges.clouds, strict=True)):
+        data.qpos[:] = edges.starts[i] + rng.random() * (edges.ends[i] - edges.starts[i])
+        mujoco.mj_kinematics(robot.mj_model, data)
+        target = data.geom_xpos[rng.choice(moving)]
+        chosen[i] = rng.integers(len(own))
+        if pose is not None:
+            ways[i] = target - pose[0]
+            continue
+        values = own[chosen[i]].values
+        ways[i] = target - values[_PLACES.get(own[chosen[i]].kind, "center")]
+        if "normal" in values:
+            ways[i] = ways[i] @ values["normal"] * values["normal"]
+
+    def pushed(share: np.ndarray) -> Scene:
+        shift = (share[:, None] * ways).astype(np.float32)
+        if scenes.cloud is not None:
+            points = scenes.cloud.points + shift[:, None]
+            return scenes._replace(cloud=scenes.cloud._replace(points=points))
+        centers = scenes.centers.copy()
+        centers[np.arange(num), chosen] += shift
+        return scenes._replace(centers=centers)
+
+    def holds(share: np.ndarray) -> np.ndarray:
+        return certify_edges(robot, pushed(share), edges.starts, edges.ends, np.arange(num))
+
+    share = _bisect(num, holds)
+    shapes, clouds = [list(own) for own in edges.shapes], list(edges.clouds)
+    for i, shift in enumerate((share[:, None] * ways).astype(np.float32).astype(float)):
+        pose, own = clouds[i], shapes[i][chosen[i]]
+        if pose is not None:
+            clouds[i] = pose[0] + shift, pose[1]
+            continue
+        place = _PLACES.get(own.kind, "center")
+        values = {**own.values, place: own.values[place] + shift}
+        shapes[i][chosen[i]] = own._replace(values=values)
+    return edges._replace(scenes=pushed(share), shapes=shapes, clouds=clouds)
+
+
+def lengthen(rng: np.random.Generator, arm: Arm, edges: Edges) -> Edges:
+    """Edges in directions of their own, as long as certificates hold."""
+    robot, starts = arm.robot, edges.starts
+    ways = _directions(rng, *starts.shape) * rng.uniform(2.0, 6.0, (len(starts), 1))
+    ways = np.clip(starts + ways, robot.joint_lower, robot.joint_upper) - starts
+
+    def holds(share: np.ndarray) -> np.ndarray:
+        ends = starts + share[:, None] * ways
+        return certify_edges(robot, edges.scenes, starts, ends, np.arange(len(starts)))
+
+    return edges._replace(ends=starts + _bisect(len(starts), holds)[:, None] * ways)
+
+
+def _bisect(num: int, holds: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """About the largest shares from 0 to 1 at which something holds that holds at 0, `[num]`."""
+    low, high = np.zeros(num), np.ones(num)
+    whole = holds(high)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        good = holds(middle)
+        low, high = np.where(good, middle, low), np.where(good, high, middle)
+    return np.where(whole, 1.0, low)
