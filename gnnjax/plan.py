@@ -118,6 +118,7 @@ def main(config: PlanConfig) -> int:
             **_limits(config),
             blend=config.blend,
             margin=config.margin,
+            proven=plan.certified,
         )
         if not motion.success:
             print(f"no motion: {motion.reason}")

@@ -144,6 +144,16 @@ def test_paths_in_scenes_of_their_own_are_rounded_as_alone(tiny):
         assert found.certified == alone.certified
 
 
+def test_blends_of_paths_that_are_certified_already_are_the_same(tiny):
+    for scene, path in certified_paths(tiny, 6, obstacles=9, seed=3):
+        found, again = (
+            smooth_paths(tiny, scene, [path], blend=0.5, proven=proven)[0]
+            for proven in (False, True)
+        )
+        np.testing.assert_array_equal(found.blends, again.blends)
+        assert again.certified
+
+
 def test_a_path_that_collides_is_not_timed(tiny):
     scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
     path = [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.5, 0.0, 0.0]]

@@ -13,9 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-# Of the quartic, in units of `blend` times the change of direction.
-_BEND = 0.75  # its largest second derivative, divided by blend^2
-_STRAY = 3 / 16  # how far its middle is from the corner
+_STRAY = 3 / 16  # of the quartic's middle from its corner, as a share of blend times turn
 _BLEND_INTERVALS, _FEWEST = 16, 4  # of a blend; of a straight piece at least
 
 

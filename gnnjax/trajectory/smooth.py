@@ -9,7 +9,7 @@ from gnnjax.collision.certify import certify_edges
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.curve import blend_chords, distinct, edges_of
 
-_CHORDS = 8  # of a blend, to be certified; even
+_CHORDS = 6  # of a blend, to be certified; even
 _HALVINGS = 6  # of a blend that is not certified, before the motion stops at its corner
 
 
@@ -22,7 +22,7 @@ class Smoothed(NamedTuple):
 
 
 def smooth_paths(
-    robot: Robot, scene: Scene, paths: list[np.ndarray], blend: float
+    robot: Robot, scene: Scene, paths: list[np.ndarray], blend: float, *, proven: bool = False
 ) -> list[Smoothed]:
     """Rounds the corners of P paths as far as is certified, all along the curves.
 
@@ -34,17 +34,11 @@ def smooth_paths(
         scene: one scene, or P scenes `[P, M, ...]`, one a path.
         paths: each `[L, D]`, one configuration or more.
         blend: length of an edge that a blend takes at most, configuration units.
+        proven: the paths themselves are certified already, and only blends are left to be.
     """
     several = np.ndim(scene.mask) == 2
     paths = [distinct(path) for path in paths]
-    # A single configuration is its own end.
-    straight = [np.concatenate([path, path]) if len(path) == 1 else path for path in paths]
-    edges = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in straight])
-    starts = np.concatenate([path[:-1] for path in straight])
-    ends = np.concatenate([path[1:] for path in straight])
-    free = np.ones(len(paths), bool)
-    proven = certify_edges(robot, scene, starts, ends, edges if several else None)
-    np.logical_and.at(free, edges, proven)
+    free = np.ones(len(paths), bool) if proven else _certified(robot, scene, paths)
 
     blends = []
     for path, good in zip(paths, free, strict=True):
@@ -68,8 +62,21 @@ def smooth_paths(
             x.reshape(-1, robot.num_dof) for x in (points[:, :-1], points[:, 1:], slack)
         )
         belongs = np.repeat(owner[open_ones], _CHORDS) if several else None
-        proven = certify_edges(robot, scene, starts, ends, belongs, slack)
-        open_ones = open_ones[~proven.reshape(-1, _CHORDS).all(axis=1)]
+        clear = certify_edges(robot, scene, starts, ends, belongs, slack)
+        open_ones = open_ones[~clear.reshape(-1, _CHORDS).all(axis=1)]
         width[open_ones] *= 0.0 if halving == _HALVINGS else 0.5
     blends = np.split(width, np.cumsum([len(x) for x in blends])[:-1])
     return [Smoothed(*each) for each in zip(paths, blends, free.tolist(), strict=True)]
+
+
+def _certified(robot: Robot, scene: Scene, paths: list[np.ndarray]) -> np.ndarray:
+    """Which of P paths are certified as they are, `[P]`."""
+    # A single configuration is its own end.
+    paths = [np.concatenate([path, path]) if len(path) == 1 else path for path in paths]
+    owner = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in paths])
+    starts = np.concatenate([path[:-1] for path in paths])
+    ends = np.concatenate([path[1:] for path in paths])
+    free = np.ones(len(paths), bool)
+    proven = certify_edges(robot, scene, starts, ends, owner if np.ndim(scene.mask) == 2 else None)
+    np.logical_and.at(free, owner, proven)
+    return free

@@ -23,8 +23,6 @@ from gnnjax.trajectory.dynamics import path_dynamics
 from gnnjax.trajectory.limits import Limits
 
 _ROUNDING = 1e-10  # relative to the terms that cancel; the arithmetic is in double precision
-
-
 _SLOWEST = 1e-18  # squared share of its limit that the fastest joint has at s = 1/s, at least
 
 
