@@ -195,6 +195,7 @@ def test_edges_are_certified_just_where_the_engine_finds_nothing_else(robot, sce
         assert depths_by_mujoco(robot, along, MEANT).max() == 0
 
 
+@pytest.mark.slow
 def test_a_scene_in_which_none_is_meant_compiles_and_tests_as_before(robot, bare, checker):
     q = draws(robot, 64)
     nothing = allow_contacts(robot, bare, [])
@@ -210,6 +211,7 @@ def test_a_scene_in_which_none_is_meant_compiles_and_tests_as_before(robot, bare
     np.testing.assert_array_equal(clearances(robot, bare, q), clearances(robot, empty, q))
 
 
+@pytest.mark.slow
 def test_scenes_of_a_batch_and_padded_ones_keep_each_its_own(robot, scene, bare, checker):
     q = draws(robot, 200, 3)
     other = allow_contacts(robot, scene_from_shapes(SHAPES[:2]), [("upper", "box 1")])
