@@ -1,6 +1,5 @@
 # make demo   plans one query and draws it       make test      what CI checks
-# make lint   style and types only               make test-all  with the tests that compile for long
-#                                                make clean     removes what these leave behind
+# make lint   style and types only               make clean     removes what these leave behind
 PYTHON ?= python3
 VENV ?= .venv
 
@@ -11,7 +10,7 @@ TEST_INSTALLED := $(VENV)/.installed-test
 
 SCENE := assets/scenes/blocks
 
-.PHONY: demo test test-all lint clean
+.PHONY: demo test lint clean
 
 demo: $(DEMO_INSTALLED)
 	mkdir -p demo
@@ -21,9 +20,6 @@ demo: $(DEMO_INSTALLED)
 
 test: lint
 	$(BIN)/python -m pytest
-
-test-all: lint
-	$(BIN)/python -m pytest -m ""
 
 lint: $(TEST_INSTALLED)
 	$(BIN)/ruff check

@@ -6,7 +6,6 @@ import json
 
 import jax
 import numpy as np
-import pytest
 from flax import nnx
 
 import gnnjax.train
@@ -42,7 +41,6 @@ def test_the_command_of_a_training_says_what_differs_from_its_preset():
     assert "--seed" not in line
 
 
-@pytest.mark.slow
 def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch):
     config = AblationConfig(
         quick=True,

@@ -28,7 +28,6 @@ from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
 from gnnjax.scene.scene import (
     inflated,
     make_scene,
-    pad_boxes,
     pad_scene,
     scene_from_shapes,
     stack_scenes,
@@ -195,38 +194,43 @@ def test_edges_are_certified_just_where_the_engine_finds_nothing_else(robot, sce
         assert depths_by_mujoco(robot, along, MEANT).max() == 0
 
 
-@pytest.mark.slow
 def test_a_scene_in_which_none_is_meant_compiles_and_tests_as_before(robot, bare, checker):
     q = draws(robot, 64)
     nothing = allow_contacts(robot, bare, [])
     assert nothing is bare
-    plain = str(jax.make_jaxpr(checker.check_configurations)(bare, q))
-    meant = str(jax.make_jaxpr(checker.check_configurations)(allow_contacts(robot, bare, MEANT), q))
-    assert "inf" in meant
-    assert len(plain) < len(meant)
-    empty = allow_contacts(robot, bare, MEANT)
-    empty = empty._replace(allowed=empty.allowed._replace(pairs=np.zeros_like(empty.allowed.pairs)))
-    check = jax.jit(checker.check_configurations)
-    np.testing.assert_array_equal(check(bare, q), check(empty, q))
+    meant = allow_contacts(robot, bare, MEANT)
+    empty = meant._replace(allowed=meant.allowed._replace(pairs=np.zeros_like(meant.allowed.pairs)))
+
+    def words(scene):
+        placed = checker.place(jax.tree.map(lambda x: jnp.asarray(x)[None], scene))
+        return checker.levels.first(placed, jnp.zeros(8, int), jnp.asarray(q).reshape(8, 8, -1))
+
+    plain, more = (str(jax.make_jaxpr(words)(scene)) for scene in (bare, meant))
+    assert "inf" in more
+    assert len(plain) < len(more)
+    np.testing.assert_array_equal(jax.jit(words)(bare), jax.jit(words)(empty))
     np.testing.assert_array_equal(clearances(robot, bare, q), clearances(robot, empty, q))
 
 
-@pytest.mark.slow
-def test_scenes_of_a_batch_and_padded_ones_keep_each_its_own(robot, scene, bare, checker):
+def test_scenes_of_a_batch_and_padded_ones_keep_each_its_own(robot, scene, checker):
     q = draws(robot, 200, 3)
     other = allow_contacts(robot, scene_from_shapes(SHAPES[:2]), [("upper", "box 1")])
-    several = [scene, bare, other, pad_scene(scene, 16)]
-    batch = stack_scenes(several)
-    owner = np.tile(np.arange(4), 50)
+    none = scene._replace(allowed=scene.allowed._replace(pairs=np.zeros_like(scene.allowed.pairs)))
+    several = [scene, none, other, pad_scene(scene, 16)]
+    batch, owner = stack_scenes(several), np.tile(np.arange(4), 50)
     alone = [clearances(robot, several[i], q[j][None])[0] for j, i in enumerate(owner)]
     np.testing.assert_array_equal(clearances(robot, batch, q, owner), alone)
-    placed = checker.place(jax.tree.map(jnp.asarray, batch))
-    each = checker.check_each(placed, jnp.asarray(owner), jnp.asarray(q)[:, None])[:, 0]
-    check = jax.jit(checker.check_configurations)
-    single = np.stack([check(one, q) for one in several])[owner, np.arange(200)]
-    np.testing.assert_array_equal(each, single)
-    wide = pad_boxes(jax.tree.map(jnp.asarray, scene), 16)
-    np.testing.assert_array_equal(check(wide, q), check(scene, q))
+    # The last one is the first, but for its padding.
+    free = {}
+    for name, scenes, owners in [("batch", several, owner)] + [
+        (number, [one] * 3 + several[3:], np.zeros(200, int)) for number, one in enumerate(several)
+    ]:
+        placed = checker.place(jax.tree.map(jnp.asarray, stack_scenes(scenes)))
+        free[name] = checker.check_each(placed, jnp.asarray(owners), jnp.asarray(q)[:, None])[:, 0]
+    single = np.stack([free[number] for number in range(4)])
+    np.testing.assert_array_equal(free["batch"], single[owner, np.arange(200)])
+    np.testing.assert_array_equal(free[0], free[3])
+    assert (single[0] != single[1]).any()
     # A margin is kept from all but them.
     thick = clearances(robot, inflated(scene, 0.02), q)
     np.testing.assert_allclose(thick, clearances(robot, scene, q) - 0.02, atol=0.021)

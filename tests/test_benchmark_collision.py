@@ -12,7 +12,6 @@ from experiments.operations import operations
 from gnnjax.errors import InputError
 
 
-@pytest.mark.slow
 def test_backends_agree_and_results_are_written(tiny_path, tmp_path, capsys):
     path = tmp_path / "out.json"
     config = BenchmarkConfig(

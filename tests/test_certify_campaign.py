@@ -34,7 +34,6 @@ def config(tmp_path_factory):
     )
 
 
-@pytest.mark.slow
 def test_certified_edges_of_all_arms_survive_a_scan_and_graze(config):
     found = run(config)
     assert list(found) == ["kinova_gen3", "kinova_gen3_holding", "random_0_0", "all"]

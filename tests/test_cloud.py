@@ -173,7 +173,7 @@ def mjx_kernels(tiny):
     return compiled(tiny, "mjx")
 
 
-@pytest.mark.parametrize("arm", [pytest.param("crane", marks=pytest.mark.slow), "tiny"])
+@pytest.mark.parametrize("arm", ["crane", "tiny"])
 def test_kernels_accept_nothing_that_touches_and_refuse_nothing_that_is_free_by_millimetres(
     arm, request
 ):
@@ -216,7 +216,6 @@ def test_kernels_accept_nothing_that_touches_and_refuse_nothing_that_is_free_by_
     assert touched > 30
 
 
-@pytest.mark.slow
 def test_what_the_cloud_blocks_is_blocked_in_the_first_level(crane):
     rng = np.random.default_rng(2)
     checker = make_checker(crane)

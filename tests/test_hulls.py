@@ -121,7 +121,6 @@ def test_what_touches_is_refused_and_what_is_free_by_three_millimetres_is_not(cr
     assert refused_by_spheres > 20
 
 
-@pytest.mark.slow
 def test_flat_tests_among_more_obstacles_than_a_word_has_bits(crane):
     rng = np.random.default_rng(2)
     scenes, drawn = [], []

@@ -198,7 +198,6 @@ def problems(tiny, tmp_path_factory):
     return generate(GenerateConfig("test", robot=str(tiny.path), num_problems=4, seed=3, out=out))
 
 
-@pytest.mark.slow
 def test_plans_are_those_with_the_fused_kernel(tiny, problems, tmp_path):
     rows = {}
     for checker in ("mjx", "fused"):
@@ -218,7 +217,6 @@ def test_plans_are_those_with_the_fused_kernel(tiny, problems, tmp_path):
             assert ours[field] == theirs[field]
 
 
-@pytest.mark.slow
 def test_the_default_planner_runs_on_it(tiny, problems, tmp_path):
     config = EvaluateConfig(
         problems=problems,

@@ -32,7 +32,6 @@ def sparing(folder):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-@pytest.mark.slow
 def test_a_notebook_runs_from_top_to_bottom(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     installs = [cell for cell in notebook.cells if "%pip install" in cell.source]

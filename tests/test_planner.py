@@ -160,7 +160,6 @@ def test_the_command_says_in_one_line_what_is_wrong(tiny_path, tmp_path):
     assert not (tmp_path / "path.npz").exists()
 
 
-@pytest.mark.slow
 def test_the_command_plans_for_what_is_held(tiny_path, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     scene = {"boxes": [{"center": [0.9, 0, 0.6], "half_extents": [0.3, 0.1, 0.1]}]}

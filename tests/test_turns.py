@@ -84,7 +84,7 @@ def test_roadmaps_are_those_of_the_arm_that_turns_once(wide, narrow):
     np.testing.assert_allclose(nodes, expected, atol=1e-5)
 
 
-@pytest.mark.parametrize("planner", [pytest.param("guided", marks=pytest.mark.slow), "lazysp"])
+@pytest.mark.parametrize("planner", ["guided", "lazysp"])
 def test_paths_cost_what_they_do_for_the_arm_that_turns_once(wide, narrow, planner):
     options = PlannerOptions(planner=planner, num_nodes=60, max_roadmaps=2)
     problems = problems_of(narrow, narrow.joint_lower, narrow.joint_upper, 60)
