@@ -92,9 +92,9 @@ def pytest_collection_finish():
 
 # Files that take longest come first, so that no worker is left with one of them at the end.
 _LONG = (
-    "mjx collision cloud families train evaluate planner certify_campaign guided_planner model guides experiments allowed "
-    "train_motion notebooks engine mjcf search classical certify holding benchmark_collision convex field "
-    "ablation fit roadmap rounds assets"
+    "mjx collision cloud families train evaluate planner certify_campaign guided_planner model "
+    "guides experiments allowed train_motion notebooks engine mjcf search classical certify "
+    "holding benchmark_collision convex field ablation fit roadmap rounds assets"
 ).split()
 
 
