@@ -165,7 +165,10 @@ def _fitted(parts: list[Part]) -> list[list[Cover]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    # Elsewhere than in a terminal a bar that goes away would leave an empty line.
+    shown = dict(console=console, transient=True, disable=not console.is_terminal)
+    with Progress(*columns, **shown) as progress:
         task = progress.add_task("", total=len(missing))
         for i in missing:
             progress.update(task, description=f"fitting spheres to {parts[i].name}, once")
