@@ -53,7 +53,8 @@ planning.options planning.query planning.clock planning.progress planning.strate
 planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
 planning.engine planning.planner
 trajectory.limits trajectory.dynamics trajectory.curve trajectory.smooth trajectory.timing
-trajectory.trajectory trajectory.files
+trajectory.trajectory trajectory.files trajectory.control trajectory.simulate
+trajectory.execution
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
