@@ -60,7 +60,7 @@ from gnnjax.trajectory.execution import (
     execute_trajectories,
     execute_trajectory,
 )
-from gnnjax.trajectory.files import save_trajectory
+from gnnjax.trajectory.files import load_trajectory, save_trajectory
 from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.trajectory.trajectory import (
     Setpoints,
@@ -124,6 +124,7 @@ __all__ = [
     "load_planner",
     "load_problems",
     "load_robot",
+    "load_trajectory",
     "make_checker",
     "make_planner",
     "make_scene",

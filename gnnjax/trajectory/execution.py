@@ -31,6 +31,7 @@ from gnnjax.trajectory.trajectory import Setpoints, Trajectory, sample_trajector
 
 _HOLD = 0.5  # s at the goal, before it is told whether the arm rests there
 _AT_REST = 0.02  # rad or m, and rad/s or m/s, of each joint
+_LONGEST = 600.0  # s, whose states fit into memory
 _SIDE_BY_SIDE = 32  # motions whose arrays are in memory at a time
 _PIECE = 10  # steps of a motion that are certified as one line, with slack
 
@@ -43,6 +44,7 @@ class Trace(NamedTuple):
     velocities: np.ndarray  # [T D] rad/s or m/s
     torques: np.ndarray  # [T D] N m or N, as the motors had them
     wanted: Setpoints  # [T ...]
+    torque_limit: np.ndarray  # [D] of the motors
 
 
 class Execution(NamedTuple):
@@ -165,6 +167,8 @@ def _at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
         trajectory = sample_trajectory(robot, trajectory, DT)
     given = trajectory
     last = float(given.times[-1])
+    if not last <= _LONGEST:
+        raise InputError(f"the motion takes {last:g} s; up to {_LONGEST:g} s can be simulated")
     times = np.arange(int(np.ceil(last / DT - 1e-9)) + round(_HOLD / DT)) * DT
     moving = times < last
     q, velocity, acceleration = (np.zeros((len(times), robot.num_dof)) for _ in range(3))
@@ -226,7 +230,7 @@ def _judged(
         touched=touched,
         torque_use=float((np.abs(torques) / limit).max()),
         settled=settled,
-        trace=Trace(wanted.times, q, velocity, torques, wanted),
+        trace=Trace(wanted.times, q, velocity, torques, wanted, limit),
     )
 
 
