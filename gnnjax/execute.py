@@ -12,7 +12,7 @@ from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, run_command
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
-from gnnjax.trajectory.execution import Execution, execute_trajectory
+from gnnjax.trajectory.execution import Execution, execute_trajectory, motion_clearance
 from gnnjax.trajectory.files import load_trajectory
 from gnnjax.trajectory.simulate import ModelErrors
 
@@ -79,6 +79,12 @@ def main(config: ExecuteConfig) -> int:
         most_error=config.most_error,
     )
     _tell(robot, found)
+    clearance = motion_clearance(robot, scene, found.trace.wanted.positions)
+    print(
+        f"no point of the arm is more than {_mm(found.stray)} from the curve, which is proven to "
+        f"keep {_mm(clearance)} from all obstacles, or more"
+    )
+    print("carried out: nothing was touched" if found.success else f"failed: {found.reason}")
     if config.figure is not None and draw is not None:
         draw(robot, found, config.figure)
         print(f"wrote {config.figure}")
@@ -94,11 +100,6 @@ def _tell(robot: Robot, found: Execution) -> None:
         table.add_row(name, f"{most:.5f}", f"{rms:.5f}", f"{100 * use:.1f}")
     Console().print(table)
     print(f"motion of {found.duration:.2f} s; the last link is off by up to {_mm(found.tip_error)}")
-    print(
-        f"no point of the arm is more than {_mm(found.stray)} from the curve, which is proven to "
-        f"keep {_mm(found.clearance)} from all obstacles, or more"
-    )
-    print("carried out: nothing was touched" if found.success else f"failed: {found.reason}")
 
 
 def _mm(length: float) -> str:

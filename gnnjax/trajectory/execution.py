@@ -33,7 +33,7 @@ _HOLD = 0.5  # s at the goal, before it is told whether the arm rests there
 _AT_REST = 0.02  # rad or m, and rad/s or m/s, of each joint
 _LONGEST = 600.0  # s, whose states fit into memory
 _SIDE_BY_SIDE = 32  # motions whose arrays are in memory at a time
-_PIECE = 10  # steps of a motion that are certified as one line, with slack
+_PIECE = 20  # steps of a motion that are certified as one line, with slack
 
 
 class Trace(NamedTuple):
@@ -58,7 +58,7 @@ class Execution(NamedTuple):
     tip_error: float  # of the last body's origin, m, largest
     goal_error: float  # of any joint in the end, rad or m
     stray: float  # m; no point of the arm is farther from where it is on the curve, at any time
-    clearance: float  # m that the curve itself provably keeps from all obstacles, up to 0.25
+    proven: bool  # the curve is proven to keep more than that from all obstacles
     depth: float  # m, of the deepest contact; 0: none
     touched_at: float  # s, of the first contact; inf: none
     touched: tuple[str, ...]  # the two that touched first
@@ -204,6 +204,7 @@ def _judged(
     touched = _pair(robot, scene, model, q[touching[0]]) if len(touching) else ()
     depth = float(run.depths.max())
     joint = int(error[-1].argmax())
+    stray = _stray(robot, wanted.positions, q)
     reason = ""
     if touched:
         when = f"{touching[0] * DT:.3f} s, and by up to {1e3 * depth:.1f} mm"
@@ -223,8 +224,8 @@ def _judged(
         rms_error=np.sqrt((error[:moving] ** 2).mean(axis=0)),
         tip_error=float(tip.max()),
         goal_error=float(goal.max()),
-        stray=_stray(robot, wanted.positions, q),
-        clearance=motion_clearance(robot, scene, wanted.positions),
+        stray=stray,
+        proven=stays_clear(robot, scene, wanted.positions, stray),
         depth=depth,
         touched_at=float(touching[0] * DT) if len(touching) else np.inf,
         touched=touched,
@@ -252,27 +253,30 @@ def _stray(robot: Robot, curve: np.ndarray, q: np.ndarray) -> float:
     return float(away.max())
 
 
-def motion_clearance(robot: Robot, scene: Scene, q: np.ndarray, most: float = 0.25) -> float:
-    """A distance [m] that the arm provably keeps from all obstacles along the curve whose states at
-    every step are q `[T D]`, to a millimetre; 0 where not even the curve itself is certified."""
+def stays_clear(robot: Robot, scene: Scene, q: np.ndarray, margin: float) -> bool:
+    """Whether the arm is proven to keep more than a distance [m] from all obstacles along the curve
+    whose states at every step are q `[T D]`."""
     pieces = np.arange(0, len(q) - 1, _PIECE)
     ends = np.minimum(pieces + _PIECE, len(q) - 1)
-    share = np.linspace(0, 1, _PIECE + 1)[:, None, None]
-    inside = q[np.minimum(pieces + np.arange(_PIECE + 1)[:, None], ends)]
-    slack = np.abs(inside - (1 - share) * q[pieces] - share * q[ends]).max(axis=0) + 1e-5
+    inside = np.minimum(pieces + np.arange(_PIECE + 1)[:, None], ends)
+    share = ((inside - pieces) / (ends - pieces))[..., None]
+    slack = np.abs(q[inside] - (1 - share) * q[pieces] - share * q[ends]).max(axis=0)
+    # Between steps, a curve of a thousand rad/s^2 leaves its chord by less than what is added.
+    larger, slack = inflated(scene, margin), slack + 1e-4
+    return bool(certify_edges(robot, larger, q[pieces], q[ends], slack=slack).all())
 
-    def holds(margin: float) -> bool:
-        larger = inflated(scene, margin)
-        return bool(certify_edges(robot, larger, q[pieces], q[ends], slack=slack).all())
 
-    if not holds(0.0):
+def motion_clearance(robot: Robot, scene: Scene, q: np.ndarray, most: float = 0.25) -> float:
+    """The largest such distance [m], to a millimetre; 0 where not even the curve itself is proven
+    free."""
+    if not stays_clear(robot, scene, q, 0.0):
         return 0.0
-    low, high = 0.0, most
-    if holds(most):
+    if stays_clear(robot, scene, q, most):
         return most
+    low, high = 0.0, most
     while high - low > 1e-3:
         middle = (low + high) / 2
-        low, high = (middle, high) if holds(middle) else (low, middle)
+        low, high = (middle, high) if stays_clear(robot, scene, q, middle) else (low, middle)
     return low
 
 
