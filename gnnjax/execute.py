@@ -15,6 +15,7 @@ from gnnjax.scene.holding import attach_from_json
 from gnnjax.trajectory.execution import Execution, execute_trajectory, motion_clearance
 from gnnjax.trajectory.files import load_trajectory
 from gnnjax.trajectory.simulate import ModelErrors
+from gnnjax.video import check_video, draw_video
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -48,10 +49,13 @@ class ExecuteConfig:
     figure: Path | None = None
     """Where a picture of joint values, velocities, torques and errors goes (needs the viz
     extra)."""
+    video: Path | None = None
+    """Where a film of the motion as it was goes, .gif or .mp4 (needs the video extra, and OpenGL:
+    where there is no display, MUJOCO_GL=egl)."""
 
 
 def main(config: ExecuteConfig) -> int:
-    """Simulates, prints what became of the motion and writes the figure; returns 1 where something
+    """Simulates, prints what became of the motion and writes the files; returns 1 where something
     was touched, or the arm does not arrive."""
     robot = load_robot(config.robot)
     if config.attach is not None:
@@ -68,6 +72,8 @@ def main(config: ExecuteConfig) -> int:
                 f"--figure needs the viz extra ({error}); pip install 'gnnjax[viz]'"
             ) from None
         check_picture(config.figure)
+    if config.video is not None:
+        check_video(config.video)
     errors = ModelErrors(config.mass_error, config.friction, config.delay, config.payload)
     found = execute_trajectory(
         robot,
@@ -88,6 +94,9 @@ def main(config: ExecuteConfig) -> int:
     if config.figure is not None and draw is not None:
         draw(robot, found, config.figure)
         print(f"wrote {config.figure}")
+    if config.video is not None:
+        draw_video(robot, scene, found.trace.times, found.trace.positions, config.video)
+        print(f"wrote {config.video}")
     return 0 if found.success else 1
 
 

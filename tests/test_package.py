@@ -59,7 +59,7 @@ training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
 measure.machine measure.rows measure.statistics
-generate paper.losses train train_motion evaluate plot plan plot_execution execute fit
+generate paper.losses train train_motion evaluate plot video plan plot_execution execute fit
 """.split()
 # Imported up the list, inside of functions: by name, when somebody asks for it.
 LAZY = {

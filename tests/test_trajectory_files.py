@@ -170,12 +170,13 @@ def test_the_command_says_why_there_is_no_motion(tiny_path, tmp_path, capsys):
     [
         ({**LIMITS, "trajectory": "motion.txt"}, "has the ending '.txt'; give .npz"),
         ({"velocity": (1.0,), "trajectory": "motion.npz"}, "tiny has no acceleration limits"),
+        ({**LIMITS, "video": "motion.avi"}, "has the ending '.avi'; give .gif or .mp4"),
         ({**LIMITS, "trajectory": "motion.npz", "dt": 0.0}, "dt is 0.0; give a step"),
         ({**LIMITS, "trajectory": "motion.npz", "blend": -1.0}, "blend is -1.0; give a length"),
     ],
 )
 def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, given, message):
-    given["trajectory"] = tmp_path / given["trajectory"]
+    given = {k: tmp_path / v if k in ("trajectory", "video") else v for k, v in given.items()}
     with pytest.raises(InputError, match=message):
         plan_once(config_of(tiny_path, tmp_path, **given))
     assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]
