@@ -5,6 +5,7 @@ starts.
 """
 
 import itertools
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -176,7 +177,9 @@ def _write_mp4(frames: Iterator[np.ndarray], file: Path) -> None:
     from imageio_ffmpeg import write_frames  # pyright: ignore[reportMissingImports]
 
     writer = write_frames(str(file), (_WIDTH, _HEIGHT), fps=_RATE, macro_block_size=2)
-    writer.send(None)
+    with warnings.catch_warnings():  # JAX warns of processes that fork; this one becomes ffmpeg
+        warnings.simplefilter("ignore", RuntimeWarning)
+        writer.send(None)
     for frame in frames:
         writer.send(np.ascontiguousarray(frame))
     writer.close()
