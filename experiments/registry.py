@@ -13,6 +13,7 @@ from experiments import (
     hard,
     motion_bench_maker,
     predictor,
+    real_arm,
     throughput,
 )
 from experiments.record import Experiment
@@ -34,5 +35,6 @@ EXPERIMENTS: dict[str, Experiment] = {
         converged,
         throughput,
         motion_bench_maker,
+        real_arm,
     )
 }

@@ -54,7 +54,14 @@ from gnnjax.search.greedy import Scorer, greedy_search
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search
 from gnnjax.training.weights import load_network, save_network
-from gnnjax.trajectory.files import save_trajectory
+from gnnjax.trajectory.execution import (
+    Execution,
+    Trace,
+    execute_trajectories,
+    execute_trajectory,
+)
+from gnnjax.trajectory.files import load_trajectory, save_trajectory
+from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.trajectory.trajectory import (
     Setpoints,
     Trajectory,
@@ -69,10 +76,12 @@ __all__ = [
     "Checker",
     "Cloud",
     "EdgeChecks",
+    "Execution",
     "FamilyProblem",
     "Guide",
     "InputError",
     "Labels",
+    "ModelErrors",
     "MotionNetwork",
     "Plan",
     "Planner",
@@ -89,6 +98,7 @@ __all__ = [
     "Setpoints",
     "Shape",
     "Strategy",
+    "Trace",
     "Trajectory",
     "allow_contacts",
     "box",
@@ -101,6 +111,8 @@ __all__ = [
     "cylinder",
     "default_radius",
     "edge_validity",
+    "execute_trajectories",
+    "execute_trajectory",
     "field_guide",
     "forward_kinematics",
     "greedy_search",
@@ -112,6 +124,7 @@ __all__ = [
     "load_planner",
     "load_problems",
     "load_robot",
+    "load_trajectory",
     "make_checker",
     "make_planner",
     "make_scene",

@@ -120,8 +120,19 @@ def is_leftover(name: str) -> bool:
     return re.fullmatch(r"\..*(\.part-[a-z0-9_]{8}(\..*)?|\.lock)", name) is not None
 
 
-def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Reads all arrays of a problem file, an `.npz` without pickles.
+def read_arrays(
+    path: Path,
+    file: str = "problem file",
+    content: str = "a problem set",
+    remedy: str = "generate it again",
+) -> dict[str, np.ndarray]:
+    """Reads all arrays of a file, an `.npz` without pickles.
+
+    Args:
+        path: of the file.
+        file: how messages call it; likewise what it should hold, and what to do about another one.
+        content: see there.
+        remedy: see there.
 
     Raises:
         InputError: no such file, or something in it is no array.
@@ -137,16 +148,16 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
                     raise ValueError("it is there twice")
                 arrays[name] = _read_array(archive, entry)
     except FileNotFoundError:
-        raise InputError(f"no problem file {str(path)!r}; check the path") from None
+        raise InputError(f"no {file} {str(path)!r}; check the path") from None
     except IsADirectoryError:
-        raise InputError(f"problem file {str(path)!r} is a folder; check the path") from None
+        raise InputError(f"{file} {str(path)!r} is a folder; check the path") from None
     except (PermissionError, MemoryError):
         raise
     except Exception as error:  # damaged archives raise nearly anything
         part = "" if name is None else f"array {name!r} of "
         raise InputError(
-            f"{part}{str(path)!r} cannot be read as a problem set (.npz without pickles): "
-            f"{error}; generate it again"
+            f"{part}{str(path)!r} cannot be read as {content} (.npz without pickles): "
+            f"{error}; {remedy}"
         ) from None
     return arrays
 

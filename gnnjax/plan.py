@@ -18,7 +18,8 @@ from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.trajectory.files import check_trajectory_file, save_trajectory
 from gnnjax.trajectory.limits import limits_of
-from gnnjax.trajectory.trajectory import check_blend, check_step, time_path
+from gnnjax.trajectory.trajectory import check_blend, check_step, sample_trajectory, time_path
+from gnnjax.video import check_video, draw_video
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,9 @@ class PlanConfig(PlannerOptions):
     trajectory: Path | None = None
     """Where the fastest motion along the path goes: .npz (arrays), .csv (a table) or .json (as
     ROS's trajectory_msgs/JointTrajectory)."""
+    video: Path | None = None
+    """Where a film of that motion goes, .gif or .mp4 (needs the video extra, and OpenGL: where
+    there is no display, MUJOCO_GL=egl)."""
     velocity: tuple[float, ...] | None = None
     """Of the motion: limits, one for all joints or one each, rad/s; the model's by default."""
     acceleration: tuple[float, ...] | None = None
@@ -70,8 +74,12 @@ def main(config: PlanConfig) -> int:
     if config.attach is not None:
         robot = attach_from_json(robot, config.attach)
     start, goal, scene = _read(config, robot)
+    moves = config.trajectory is not None or config.video is not None
     if config.trajectory is not None:
         check_trajectory_file(config.trajectory)
+    if config.video is not None:
+        check_video(config.video)
+    if moves:
         limits_of(robot, **_limits(config))
         check_step(config.dt)
         check_blend(config.blend)
@@ -110,7 +118,7 @@ def main(config: PlanConfig) -> int:
     if config.image is not None and draw is not None:
         draw(planner.robot, scene, plan.path, config.image)
         print(f"wrote {config.image}")
-    if config.trajectory is not None:
+    if moves:
         motion = time_path(
             planner.robot,
             scene,
@@ -123,11 +131,14 @@ def main(config: PlanConfig) -> int:
         if not motion.success:
             print(f"no motion: {motion.reason}")
             return 1
-        save_trajectory(planner.robot, motion, config.trajectory, config.dt)
-        print(
-            f"motion of {motion.duration:.2f} s, certified free, {motion.stops} stops on its way; "
-            f"wrote {config.trajectory}"
-        )
+        print(f"motion of {motion.duration:.2f} s, certified free, {motion.stops} stops on its way")
+        if config.trajectory is not None:
+            save_trajectory(planner.robot, motion, config.trajectory, config.dt)
+            print(f"wrote {config.trajectory}")
+        if config.video is not None:
+            shown = sample_trajectory(planner.robot, motion, 0.01)
+            draw_video(planner.robot, scene, shown.times, shown.positions, config.video)
+            print(f"wrote {config.video}")
     return 0
 
 

@@ -11,7 +11,7 @@ from gnnjax.errors import InputError
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.scene.scene import make_scene
-from gnnjax.trajectory.files import save_trajectory
+from gnnjax.trajectory.files import load_trajectory, save_trajectory
 from gnnjax.trajectory.trajectory import sample_trajectory, time_path
 
 
@@ -55,6 +55,80 @@ def test_other_endings_are_refused(motion, tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
+KINDS = ("npz", "csv", "json")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_motions_are_read_as_they_were_written(motion, tmp_path, kind):
+    robot, trajectory = motion
+    save_trajectory(robot, trajectory, tmp_path / f"motion.{kind}", dt=0.02)
+    found, written = (
+        load_trajectory(robot, tmp_path / f"motion.{kind}"),
+        sample_trajectory(robot, trajectory, 0.02),
+    )
+    np.testing.assert_allclose(found.times, written.times, atol=1e-9)
+    for name in written._fields[1:]:
+        np.testing.assert_array_equal(getattr(found, name), getattr(written, name))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_motions_of_other_arms_are_refused(motion, tmp_path, kind):
+    save_trajectory(*motion, tmp_path / f"motion.{kind}", dt=0.05)
+    with pytest.raises(InputError, match=r"is of .*, not of kuka_iiwa14.*; name the arm"):
+        load_trajectory(load_robot("kuka_iiwa14"), tmp_path / f"motion.{kind}")
+    with pytest.raises(InputError, match="no trajectory file"):
+        load_trajectory(motion[0], tmp_path / f"missing.{kind}")
+
+
+def changed(change):
+    """Writes a JSON file of which something was changed."""
+
+    def write(file):
+        message = json.loads(file.read_text())
+        change(message)
+        file.write_text(json.dumps(message))
+
+    return write
+
+
+BROKEN = [
+    ("npz", lambda file: file.write_bytes(file.read_bytes()[:200]), "cannot be read as a motion"),
+    ("npz", lambda file: np.savez(file, robot="tiny"), "holds no motion .no entry 'times'.; write"),
+    ("csv", lambda file: file.write_text(""), "holds no motion"),
+    ("csv", lambda file: file.write_text("time,x\n0,1\n"), "its columns are"),
+    ("csv", lambda file: file.write_text(file.read_text() + "1,2\n"), "holds no motion"),
+    (
+        "csv",
+        lambda file: file.write_text(file.read_text().split("\n")[0]),
+        "has arrays of the shape",
+    ),
+    ("csv", lambda file: file.write_text(file.read_text().replace("\n0.02,", "\nnan,")), "finite"),
+    ("json", lambda file: file.write_text("{"), "is no JSON"),
+    ("json", lambda file: file.write_text("[1]"), "holds no motion"),
+    ("json", changed(lambda x: x["points"][3].pop("effort")), "no entry 'effort'"),
+    ("json", changed(lambda x: x["points"].reverse()), "do not begin at 0 and ascend"),
+    ("json", changed(lambda x: x["points"][1].update(effort=[1.0])), "holds no motion"),
+    ("json", changed(lambda x: x["points"][1].update(positions=[0, 9, 0])), "joint b at 9, beyond"),
+    ("json", changed(lambda x: x.update(joint_names=["a", "b"])), "of an arm with the joints"),
+]
+
+
+@pytest.mark.parametrize(("kind", "spoil", "message"), BROKEN)
+def test_files_that_hold_no_motion_are_refused(motion, tmp_path, kind, spoil, message):
+    file = tmp_path / f"motion.{kind}"
+    save_trajectory(*motion, file, dt=0.02)
+    spoil(file)
+    with pytest.raises(InputError, match=message):
+        load_trajectory(motion[0], file)
+
+
+@pytest.mark.parametrize("name", ["motion.txt", "folder.csv"])
+def test_what_is_no_trajectory_file_is_refused(motion, tmp_path, name):
+    (tmp_path / name).mkdir()
+    with pytest.raises(InputError, match=r"has the ending '.txt'|is a folder; check the path"):
+        load_trajectory(motion[0], tmp_path / name)
+
+
 def config_of(tiny_path, tmp_path, **changes):
     scene = tmp_path / "scene.json"
     scene.write_text(json.dumps({"boxes": [{"center": [0.6, 0, 0], "half_extents": [0.1] * 3}]}))
@@ -96,12 +170,13 @@ def test_the_command_says_why_there_is_no_motion(tiny_path, tmp_path, capsys):
     [
         ({**LIMITS, "trajectory": "motion.txt"}, "has the ending '.txt'; give .npz"),
         ({"velocity": (1.0,), "trajectory": "motion.npz"}, "tiny has no acceleration limits"),
+        ({**LIMITS, "video": "motion.avi"}, "has the ending '.avi'; give .gif or .mp4"),
         ({**LIMITS, "trajectory": "motion.npz", "dt": 0.0}, "dt is 0.0; give a step"),
         ({**LIMITS, "trajectory": "motion.npz", "blend": -1.0}, "blend is -1.0; give a length"),
     ],
 )
 def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, given, message):
-    given["trajectory"] = tmp_path / given["trajectory"]
+    given = {k: tmp_path / v if k in ("trajectory", "video") else v for k, v in given.items()}
     with pytest.raises(InputError, match=message):
         plan_once(config_of(tiny_path, tmp_path, **given))
     assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]

@@ -47,7 +47,12 @@ _OBSTACLE = {"contype": _ALL_BITS, "conaffinity": _ALL_BITS, "rgba": [0.75, 0.55
 
 
 def build_world(robot: Robot, max_boxes: int, cloud: Cloud | None = None) -> mujoco.MjModel:
-    """Compiles the arm with `max_boxes` movable obstacles, which `obstacles` finds.
+    """Compiles the world of `world_spec`."""
+    return world_spec(robot, max_boxes, cloud).compile()
+
+
+def world_spec(robot: Robot, max_boxes: int, cloud: Cloud | None = None) -> mujoco.MjSpec:
+    """The arm with `max_boxes` movable obstacles, which `obstacles` finds.
 
     Each is a mocap body of its own. A geom that sits in the worldbody and is moved after
     compilation would keep the bounding volume of its old place, and the C engine would miss it.
@@ -82,7 +87,7 @@ def build_world(robot: Robot, max_boxes: int, cloud: Cloud | None = None) -> muj
         ignored.append(body.name)
         for name in paired:
             spec.add_pair(geomname1=name, geomname2=body.name)
-    return spec.compile()
+    return spec
 
 
 def _add_cloud(spec: mujoco.MjSpec, cloud: Cloud, ignored: list[str], paired: list[str]) -> None:

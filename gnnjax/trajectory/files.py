@@ -4,15 +4,19 @@ import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError
-from gnnjax.files import atomic_write, check_target
+from gnnjax.errors import InputError, brief
+from gnnjax.files import atomic_write, check_target, read_arrays
+from gnnjax.scene.scene_file import read_json
 from gnnjax.trajectory.trajectory import Setpoints, Trajectory, sample_trajectory
 
 _NANO = 10**9
+_ROUNDED = 1e-3  # rad or m, of joint limits: people round what they write
+_AGAIN = "write it again with python -m gnnjax.plan --trajectory"
 
 
 def check_trajectory_file(path: str | Path) -> Path:
@@ -22,11 +26,7 @@ def check_trajectory_file(path: str | Path) -> Path:
         InputError: another ending, or no file can have that path.
     """
     path = Path(path)
-    if path.suffix.lower() not in _WRITERS:
-        raise InputError(
-            f"trajectory file {str(path)!r} has the ending {path.suffix!r}; give .npz (arrays), "
-            ".csv (a table) or .json (as ROS's trajectory_msgs/JointTrajectory)"
-        )
+    _form_of(path)
     return check_target(path)
 
 
@@ -39,8 +39,73 @@ def save_trajectory(
         InputError: see `check_trajectory_file` and `sample_trajectory`.
     """
     path = check_trajectory_file(path)
-    points, write = sample_trajectory(robot, trajectory, dt), _WRITERS[path.suffix.lower()]
+    points, write = sample_trajectory(robot, trajectory, dt), _form_of(path).write
     atomic_write(path, lambda file: write(robot, points, file))
+
+
+def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
+    """Reads the states of a motion that `save_trajectory` wrote for this arm.
+
+    Raises:
+        InputError: no such file, another ending, or what is in it is no motion of this arm.
+    """
+    path = Path(path)
+    called = f"trajectory file {str(path)!r}"
+    try:
+        read = _form_of(path).read(path)
+    except FileNotFoundError:
+        raise InputError(f"no {called}; check the path") from None
+    except IsADirectoryError:
+        raise InputError(f"{called} is a folder; check the path") from None
+    except InputError:
+        raise
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError, csv.Error) as error:
+        what = f"no entry {brief(error.args[0])}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{called} holds no motion ({what}); {_AGAIN}") from None
+    _check_arm(robot, read, called)
+    return _checked(robot, read, called)
+
+
+def _check_arm(robot: Robot, read: "_Read", called: str) -> None:
+    if read.robot not in (None, robot.name) or read.joint_names != list(robot.joint_names):
+        joints = brief(read.joint_names)
+        arm = f"of {brief(read.robot)}" if read.robot else f"of an arm with the joints {joints}"
+        own = robot.name if read.robot else f"{robot.name} with {list(robot.joint_names)}"
+        raise InputError(f"{called} is {arm}, not of {own}; name the arm that it was planned for")
+
+
+def _checked(robot: Robot, read: "_Read", called: str) -> Setpoints:
+    """The states, or why they are no motion of the arm."""
+    points = read.points
+    shape = (len(points.times), robot.num_dof) if points.times.ndim == 1 else (0, 0)
+    if not shape[0] or any(x.shape != shape for x in points[1:]):
+        shapes = {name: values.shape for name, values in points._asdict().items()}
+        raise InputError(
+            f"{called} has arrays of the shapes {shapes}; {robot.name} needs times [T] and "
+            f"[T, {robot.num_dof}]"
+        )
+    if not all(np.isfinite(x).all() for x in points):
+        raise InputError(f"{called} holds what is no finite number; {_AGAIN}")
+    if points.times[0] != 0 or not (np.diff(points.times) > 0).all():
+        raise InputError(f"times in {called} do not begin at 0 and ascend; {_AGAIN}")
+    low, high = robot.joint_lower - _ROUNDED, robot.joint_upper + _ROUNDED
+    beyond = ~((points.positions >= low) & (points.positions <= high))
+    if beyond.any():
+        row, joint = (int(x[0]) for x in np.nonzero(beyond))
+        raise InputError(
+            f"{called} has joint {robot.joint_names[joint]} at {points.positions[row, joint]:.4g}, "
+            f"beyond its limits {robot.joint_lower[joint]:.4g} to {robot.joint_upper[joint]:.4g}; "
+            "name the arm that it was planned for"
+        )
+    return points
+
+
+class _Read(NamedTuple):
+    """What a file holds, as it is."""
+
+    robot: str | None  # None where files of the kind do not tell
+    joint_names: list[str]
+    points: Setpoints
 
 
 def _npz(robot: Robot, points: Setpoints, file: Path) -> None:
@@ -53,12 +118,29 @@ def _npz(robot: Robot, points: Setpoints, file: Path) -> None:
         )
 
 
+def _from_npz(path: Path) -> _Read:
+    arrays = read_arrays(path, "trajectory file", "a motion", _AGAIN)
+    points = Setpoints(*(np.asarray(arrays[name], float) for name in Setpoints._fields))
+    return _Read(str(arrays["robot"]), arrays["joint_names"].tolist(), points)
+
+
 def _csv(robot: Robot, points: Setpoints, file: Path) -> None:
     kinds = points._fields[1:]
     with open(file, "w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(["time", *(f"{kind}:{j}" for kind in kinds for j in robot.joint_names)])
         writer.writerows(np.column_stack(points).tolist())
+
+
+def _from_csv(path: Path) -> _Read:
+    with open(path, newline="", encoding="utf-8") as stream:
+        head, *rows = csv.reader(stream)
+    kinds = Setpoints._fields[1:]
+    joints = [name.removeprefix(f"{kinds[0]}:") for name in head[1 : 1 + len(head[1:]) // 4]]
+    if head != ["time", *(f"{kind}:{j}" for kind in kinds for j in joints)]:
+        raise ValueError(f"its columns are {brief(head)}")
+    table = np.array(rows, float).reshape(len(rows), len(head))
+    return _Read(None, joints, Setpoints(table[:, 0], *np.split(table[:, 1:], len(kinds), axis=1)))
 
 
 def _json(robot: Robot, points: Setpoints, file: Path) -> None:
@@ -82,8 +164,34 @@ def _json(robot: Robot, points: Setpoints, file: Path) -> None:
     file.write_text(json.dumps(message, indent=1), encoding="utf-8")
 
 
-_WRITERS: dict[str, Callable[[Robot, Setpoints, Path], None]] = {
-    ".npz": _npz,
-    ".csv": _csv,
-    ".json": _json,
+def _from_json(path: Path) -> _Read:
+    message = read_json(path, "trajectory file")
+    points = message["points"]
+    since = [point["time_from_start"] for point in points]
+    times = np.array([time["sec"] + time["nanosec"] / _NANO for time in since], float)
+    kinds = ("positions", "velocities", "accelerations", "effort")
+    columns = (np.array([point[kind] for point in points], float) for kind in kinds)
+    return _Read(None, message["joint_names"], Setpoints(times, *columns))
+
+
+class _Form(NamedTuple):
+    """A kind of file."""
+
+    write: Callable[[Robot, Setpoints, Path], None]
+    read: Callable[[Path], _Read]
+
+
+def _form_of(path: Path) -> _Form:
+    if path.suffix.lower() not in _FORMS:
+        raise InputError(
+            f"trajectory file {str(path)!r} has the ending {path.suffix!r}; give .npz (arrays), "
+            ".csv (a table) or .json (as ROS's trajectory_msgs/JointTrajectory)"
+        )
+    return _FORMS[path.suffix.lower()]
+
+
+_FORMS = {
+    ".npz": _Form(_npz, _from_npz),
+    ".csv": _Form(_csv, _from_csv),
+    ".json": _Form(_json, _from_json),
 }

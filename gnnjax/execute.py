@@ -1,0 +1,119 @@
+"""Carries a motion out in simulation: `python -m gnnjax.execute --scene S --trajectory M`."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.errors import InputError, run_command
+from gnnjax.scene.any_file import read_scene
+from gnnjax.scene.holding import attach_from_json
+from gnnjax.trajectory.execution import Execution, execute_trajectory, motion_clearance
+from gnnjax.trajectory.files import load_trajectory
+from gnnjax.trajectory.simulate import ModelErrors
+from gnnjax.video import check_video, draw_video
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ExecuteConfig:
+    """Carry a motion out in MuJoCo, with contacts, by a controller that knows the arm's model."""
+
+    scene: Path
+    """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt) or .xml (a
+    MuJoCo model, less the robot in it)."""
+    trajectory: Path
+    """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json)."""
+    robot: str = "kuka_iiwa14"
+    """Shipped robot, or path of an MJCF."""
+    attach: Path | None = None
+    """JSON file with what the arm holds, as for planning; the controller knows its mass."""
+    controller: str = "computed_torque"
+    """computed_torque (the model's torques for the motion, and a spring and damper for errors), or
+    position (servos with velocity damping, and the model's weight)."""
+    torque: tuple[float, ...] | None = None
+    """Limits of motors, one for all joints or one each, N m; the model's by default."""
+    mass_error: float = 0.0
+    """Share by which the arm is heavier than its model."""
+    friction: float = 0.0
+    """Dry friction of each joint that the model does not have, N m."""
+    delay: float = 0.0
+    """Seconds from what is measured to the torque that answers it."""
+    payload: float = 0.0
+    """What the last link carries and the controller does not know, kg."""
+    most_error: float = 0.5
+    """Of a joint, beyond which the motion has diverged, rad."""
+    figure: Path | None = None
+    """Where a picture of joint values, velocities, torques and errors goes (needs the viz
+    extra)."""
+    video: Path | None = None
+    """Where a film of the motion as it was goes, .gif or .mp4 (needs the video extra, and OpenGL:
+    where there is no display, MUJOCO_GL=egl)."""
+
+
+def main(config: ExecuteConfig) -> int:
+    """Simulates, prints what became of the motion and writes the files; returns 1 where something
+    was touched, or the arm does not arrive."""
+    robot = load_robot(config.robot)
+    if config.attach is not None:
+        robot = attach_from_json(robot, config.attach)
+    points = load_trajectory(robot, config.trajectory)
+    scene = read_scene(config.scene, robot)
+    draw = None
+    if config.figure is not None:
+        try:
+            from gnnjax.plot import check_picture
+            from gnnjax.plot_execution import draw_execution as draw
+        except ImportError as error:
+            raise InputError(
+                f"--figure needs the viz extra ({error}); pip install 'gnnjax[viz]'"
+            ) from None
+        check_picture(config.figure)
+    if config.video is not None:
+        check_video(config.video)
+    errors = ModelErrors(config.mass_error, config.friction, config.delay, config.payload)
+    found = execute_trajectory(
+        robot,
+        scene,
+        points,
+        controller=config.controller,
+        torque=config.torque,
+        errors=errors,
+        most_error=config.most_error,
+    )
+    _tell(robot, found)
+    clearance = motion_clearance(robot, scene, found.trace.wanted.positions)
+    print(
+        f"no point of the arm is more than {_mm(found.stray)} from the curve, which is proven to "
+        f"keep {_mm(clearance)} from all obstacles, or more"
+    )
+    print("carried out: nothing was touched" if found.success else f"failed: {found.reason}")
+    if config.figure is not None and draw is not None:
+        draw(robot, found, config.figure)
+        print(f"wrote {config.figure}")
+    if config.video is not None:
+        draw_video(robot, scene, found.trace.times, found.trace.positions, config.video)
+        print(f"wrote {config.video}")
+    return 0 if found.success else 1
+
+
+def _tell(robot: Robot, found: Execution) -> None:
+    """Prints a summary."""
+    uses = np.abs(found.trace.torques / found.trace.torque_limit).max(axis=0)
+    table = Table("joint", "largest error", "rms error", "torque, % of its limit")
+    for row in zip(robot.joint_names, found.max_error, found.rms_error, uses, strict=True):
+        name, most, rms, use = row
+        table.add_row(name, f"{most:.5f}", f"{rms:.5f}", f"{100 * use:.1f}")
+    Console().print(table)
+    print(f"motion of {found.duration:.2f} s; the last link is off by up to {_mm(found.tip_error)}")
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:.1f} mm"
+
+
+if __name__ == "__main__":
+    run_command(lambda: main(tyro.cli(ExecuteConfig)))

@@ -1,0 +1,298 @@
+"""Motions carried out in simulation: how well an arm follows them, and what it touches."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial import cKDTree
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.bounds import spheres_of
+from gnnjax.collision.certify import certify_edges
+from gnnjax.errors import InputError
+from gnnjax.scene.mujoco_world import obstacles
+from gnnjax.scene.scene import Scene, inflated, obstacle_name
+from gnnjax.trajectory.control import control
+from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
+from gnnjax.trajectory.limits import Amounts, limits_of
+from gnnjax.trajectory.simulate import (
+    DT,
+    ModelErrors,
+    Run,
+    build_true_world,
+    check_errors,
+    placed,
+    simulate,
+)
+from gnnjax.trajectory.trajectory import Setpoints, Trajectory, sample_trajectory
+
+_HOLD = 0.5  # s at the goal, before it is told whether the arm rests there
+_AT_REST = 0.02  # rad or m, and rad/s or m/s, of each joint
+_LONGEST = 600.0  # s, whose states fit into memory
+_SIDE_BY_SIDE = 32  # motions whose arrays are in memory at a time
+_PIECE = 20  # steps of a motion that are certified as one line, with slack
+
+
+class Trace(NamedTuple):
+    """A motion as it was, every millisecond, and as it was wanted."""
+
+    times: np.ndarray  # [T] s
+    positions: np.ndarray  # [T D] rad or m
+    velocities: np.ndarray  # [T D] rad/s or m/s
+    torques: np.ndarray  # [T D] N m or N, as the motors had them
+    wanted: Setpoints  # [T ...]
+    torque_limit: np.ndarray  # [D] of the motors
+
+
+class Execution(NamedTuple):
+    """What became of a motion."""
+
+    success: bool  # nothing was touched, and the arm rests at the goal
+    reason: str  # why not; empty on success
+    duration: float  # s, that the motion should take
+    max_error: np.ndarray  # [D] from where each joint should be at the time, rad or m
+    rms_error: np.ndarray  # [D]
+    tip_error: float  # of the last body's origin, m, largest
+    goal_error: float  # of any joint in the end, rad or m
+    stray: float  # m; no point of the arm is farther from where it is on the curve, at any time
+    proven: bool  # the curve is proven to keep more than that from all obstacles
+    depth: float  # m, of the deepest contact; 0: none
+    touched_at: float  # s, of the first contact; inf: none
+    touched: tuple[str, ...]  # the two that touched first
+    torque_use: float  # largest share of any motor's limit
+    settled: bool
+    trace: Trace
+
+
+def execute_trajectory(
+    robot: Robot,
+    scene: Scene,
+    trajectory: Trajectory | Setpoints,
+    *,
+    controller: str = "computed_torque",
+    torque: Amounts | None = None,
+    errors: ModelErrors | None = None,
+    most_error: float = 0.5,
+) -> Execution:
+    """Carries a motion out in MuJoCo, with contacts and a controller that knows the model alone.
+
+    Args:
+        robot: the arm, as the controller knows it; what it holds is in its model, with its mass.
+        scene: one scene, in which no contacts are meant.
+        trajectory: of `time_path`; or states of a motion, between which it is interpolated.
+        controller: "computed_torque", or "position" (servos), see `gnnjax.trajectory.control`.
+        torque: limits of motors, N m or N, one for all joints or one each; the model's by default.
+        errors: how the arm differs from its model; by default not at all.
+        most_error: rad or m, of a joint, beyond which a motion has diverged and is stopped.
+
+    Raises:
+        InputError: no motion, an unknown controller, errors that no arm has, no torque limits, or
+            an arm or scene that cannot be simulated.
+    """
+    (found,) = execute_trajectories(
+        robot,
+        scene,
+        [trajectory],
+        controller=controller,
+        torque=torque,
+        errors=errors,
+        most_error=most_error,
+    )
+    return found
+
+
+def execute_trajectories(
+    robot: Robot,
+    scene: Scene,
+    trajectories: Sequence[Trajectory | Setpoints],
+    *,
+    controller: str = "computed_torque",
+    torque: Amounts | None = None,
+    errors: ModelErrors | None = None,
+    most_error: float = 0.5,
+) -> list[Execution]:
+    """`execute_trajectory` of P motions, in one scene or in P scenes `[P, M, ...]`, one each."""
+    errors = errors or ModelErrors()
+    check_errors(errors)
+    if not most_error > 0:
+        raise InputError(f"most_error is {most_error}; give a positive number (rad or m)")
+    several = np.ndim(scene.mask) == 2
+    if several and len(scene.mask) != len(trajectories):
+        raise InputError(
+            f"{len(trajectories)} motions in {len(scene.mask)} scenes; give one scene a motion"
+        )
+    limit = _torque_limit(robot, torque)
+    check_dynamics(robot)
+    scenes = [jax.tree.map(lambda x, i=i: np.asarray(x)[i], scene) for i in _numbers(scene)]
+    points = [_at_steps(robot, each) for each in trajectories]
+    found: list[Execution | None] = [None] * len(points)
+    # Those of about the same length side by side; clouds are geoms, which make worlds that differ.
+    order = np.argsort([len(each.times) for each in points], kind="stable")
+    size = 1 if scene.cloud is not None and several else _SIDE_BY_SIDE
+    world = None
+    for first in range(0, len(order), size):
+        rows = order[first : first + size].tolist()
+        own = [scenes[i if several else 0] for i in rows]
+        if world is None or size == 1:
+            world = build_true_world(robot, own[0], errors)
+        models = [placed(world, each) for each in own] if several else [world] * len(rows)
+        laws = [control(robot, controller, points[i]) for i in rows]
+        runs = simulate(models, laws, [points[i] for i in rows], limit, errors.delay, most_error)
+        for i, model, each, run in zip(rows, models, own, runs, strict=True):
+            found[i] = _judged(robot, each, model, points[i], run, limit)
+    return [each for each in found if each is not None]
+
+
+def _numbers(scene: Scene) -> list:
+    """Indices that take the scenes out of one or several."""
+    return list(range(len(scene.mask))) if np.ndim(scene.mask) == 2 else [...]
+
+
+def _torque_limit(robot: Robot, torque: Amounts | None) -> np.ndarray:
+    limits = limits_of(robot, velocity=1.0, acceleration=1.0, torque=torque)
+    if limits.torque is None:
+        raise InputError(
+            f"the model of {robot.name} has no torque limits, without which its motors cannot be "
+            'simulated; give torque=... (N m), or put forcerange="..." into its actuators'
+        )
+    return limits.torque
+
+
+def _at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
+    """A motion at every step of the simulation, held at its goal in the end."""
+    if isinstance(trajectory, Trajectory):
+        trajectory = sample_trajectory(robot, trajectory, DT)
+    given = trajectory
+    last = float(given.times[-1])
+    if not last <= _LONGEST:
+        raise InputError(f"the motion takes {last:g} s; up to {_LONGEST:g} s can be simulated")
+    times = np.arange(int(np.ceil(last / DT - 1e-9)) + round(_HOLD / DT)) * DT
+    moving = times < last
+    q, velocity, acceleration = (np.zeros((len(times), robot.num_dof)) for _ in range(3))
+    q[:] = given.positions[-1]
+    if moving.any():
+        curve = CubicHermiteSpline(given.times, given.positions, given.velocities)
+        for number, part in enumerate((q, velocity, acceleration)):
+            part[moving] = curve(times[moving], number)
+    torques = inverse_dynamics_by_mujoco(robot, q, velocity, acceleration)
+    return Setpoints(times, q, velocity, acceleration, torques)
+
+
+def _judged(
+    robot: Robot,
+    scene: Scene,
+    model: mujoco.MjModel,
+    wanted: Setpoints,
+    run: Run,
+    limit: np.ndarray,
+) -> Execution:
+    """What a run says of a motion."""
+    steps = len(run.torques)
+    if run.diverged:  # within a delay, up to what is no number
+        steps = min(steps, int(np.isfinite(run.positions).all(axis=1).argmin()) or steps)
+    q, velocity, torques = run.positions[:steps], run.velocities[:steps], run.torques[:steps]
+    wanted = Setpoints(*(x[:steps] for x in wanted))
+    moving = max(1, steps if run.diverged else steps - round(_HOLD / DT))
+    error = np.abs(q - wanted.positions)
+    tip = np.linalg.norm(_tips(robot, q) - _tips(robot, wanted.positions), axis=1)
+    touching = np.flatnonzero(run.depths[:steps] > 0)
+    goal = error[-1]
+    settled = bool(not run.diverged and max(goal.max(), np.abs(velocity[-1]).max()) <= _AT_REST)
+    touched = _pair(robot, scene, model, q[touching[0]]) if len(touching) else ()
+    depth = float(run.depths.max())
+    joint = int(error[-1].argmax())
+    stray = _stray(robot, wanted.positions, q)
+    reason = ""
+    if touched:
+        when = f"{touching[0] * DT:.3f} s, and by up to {1e3 * depth:.1f} mm"
+        reason = f"{touched[0]} touches {touched[1]} after {when}"
+    elif run.diverged:
+        reason = (
+            f"joint {robot.joint_names[joint]} was {error[-1, joint]:.3g} from where it should be "
+            f"after {steps * DT:.3f} s"
+        )
+    elif not settled:
+        reason = f"the arm does not rest at the goal: a joint is {goal.max():.3g} away from it"
+    return Execution(
+        success=not reason,
+        reason=reason,
+        duration=moving * DT,
+        max_error=error[:moving].max(axis=0),
+        rms_error=np.sqrt((error[:moving] ** 2).mean(axis=0)),
+        tip_error=float(tip.max()),
+        goal_error=float(goal.max()),
+        stray=stray,
+        proven=stays_clear(robot, scene, wanted.positions, stray),
+        depth=depth,
+        touched_at=float(touching[0] * DT) if len(touching) else np.inf,
+        touched=touched,
+        torque_use=float((np.abs(torques) / limit).max()),
+        settled=settled,
+        trace=Trace(wanted.times, q, velocity, torques, wanted, limit),
+    )
+
+
+def _tips(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Origins [m] of the last body at q `[T D]`, `[T 3]`."""
+    data, found = mujoco.MjData(robot.mj_model), np.empty((len(q), 3))
+    for row in range(len(q)):
+        data.qpos = q[row]
+        mujoco.mj_kinematics(robot.mj_model, data)
+        found[row] = data.xpos[-1]
+    return found
+
+
+def _stray(robot: Robot, curve: np.ndarray, q: np.ndarray) -> float:
+    """A bound [m] on how far points of the arm at q `[T D]` are from where they are at the nearest
+    of the states of a curve."""
+    reach = spheres_of(robot).part_reach.max(axis=0)  # m/rad or m/m, of the point that moves most
+    away, _ = cKDTree(curve * reach).query(q * reach, p=1)
+    return float(away.max())
+
+
+def stays_clear(robot: Robot, scene: Scene, q: np.ndarray, margin: float) -> bool:
+    """Whether the arm is proven to keep more than a distance [m] from all obstacles along the curve
+    whose states at every step are q `[T D]`."""
+    pieces = np.arange(0, len(q) - 1, _PIECE)
+    ends = np.minimum(pieces + _PIECE, len(q) - 1)
+    inside = np.minimum(pieces + np.arange(_PIECE + 1)[:, None], ends)
+    share = ((inside - pieces) / (ends - pieces))[..., None]
+    slack = np.abs(q[inside] - (1 - share) * q[pieces] - share * q[ends]).max(axis=0)
+    # Between steps, a curve of a thousand rad/s^2 leaves its chord by less than what is added.
+    larger, slack = inflated(scene, margin), slack + 1e-4
+    return bool(certify_edges(robot, larger, q[pieces], q[ends], slack=slack).all())
+
+
+def motion_clearance(robot: Robot, scene: Scene, q: np.ndarray, most: float = 0.25) -> float:
+    """The largest such distance [m], to a millimetre; 0 where not even the curve itself is proven
+    free."""
+    if not stays_clear(robot, scene, q, 0.0):
+        return 0.0
+    if stays_clear(robot, scene, q, most):
+        return most
+    low, high = 0.0, most
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        low, high = (middle, high) if stays_clear(robot, scene, q, middle) else (low, middle)
+    return low
+
+
+def _pair(robot: Robot, scene: Scene, model: mujoco.MjModel, q: np.ndarray) -> tuple[str, ...]:
+    """The two whose contact is the deepest."""
+    data = mujoco.MjData(model)
+    data.qpos = q
+    mujoco.mj_fwdPosition(model, data)
+    number = int(np.argmin(data.contact.dist[: data.ncon]))
+    return tuple(_called(robot, scene, model, int(g)) for g in data.contact.geom[number])
+
+
+def _called(robot: Robot, scene: Scene, model: mujoco.MjModel, geom: int) -> str:
+    """How messages call a geom of a world, whose last ones are the obstacles."""
+    placed_at = obstacles(model, len(scene.mask)).geoms.tolist()
+    if geom in placed_at:
+        return obstacle_name(scene, placed_at.index(geom))
+    parts = robot.part_geom_ids.tolist()
+    return robot.parts[parts.index(geom)].name if geom in parts else "the cloud"
