@@ -9,10 +9,10 @@ with contacts, motors that have limits, and errors that no controller knows: it 
 than its model, has dry friction, and answers late.
 
 Paths are planned with a margin, and timed within the arm's limits of velocity, acceleration and
-torque along curves that are proven to keep half of that margin. A payload is known to timing and
-controller. A motion is *found* where there is a path, *timed* where there is a motion along it, and
-*suitable* where this is carried out without a contact, ends at rest at the goal, and no joint
-swings.
+torque, of which a reserve is left to the controller, along curves that are proven to keep half of
+that margin. A payload is known to timing and controller. A motion is *found* where there is a path,
+*timed* where there is a motion along it, and *suitable* where this is carried out without a
+contact, ends at rest at the goal, and no joint swings.
 
 A joint swings if it turns back three times or more, small movements left out. Out of one place and
 into another it may have to turn back twice: to retreat first, and to go past the goal and come
@@ -48,6 +48,7 @@ from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.shapes import sphere
 from gnnjax.trajectory.execution import Execution, execute_trajectories
+from gnnjax.trajectory.limits import limits_of
 from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.trajectory.trajectory import time_paths
 
@@ -65,7 +66,7 @@ class RealArmConfig(ExperimentConfig):
 
     arms: tuple[str, ...] = ("kuka_iiwa14", "franka_panda", "kinova_gen3")
     """The arms."""
-    families: tuple[str, ...] = ("paper", "shelf", "clutter")
+    families: tuple[str, ...] = ("paper", "shelf")
     """Kinds of problems."""
     num_problems: int = 100
     """Problems of each kind, for each arm."""
@@ -79,11 +80,13 @@ class RealArmConfig(ExperimentConfig):
     """Dry friction that the model does not have, N m."""
     delay: float = 0.004
     """Seconds from what is measured to the torque that answers it."""
+    reserve: float = 0.2
+    """Share of the motors' torques that motions leave to the controller."""
 
 
 def measurement(config: RealArmConfig) -> Measurement:
     """Rows of planners, for each arm, kind of problems and payload."""
-    names = ("num_problems", "payloads", "margin", "mass_error", "friction", "delay")
+    names = ("num_problems", "payloads", "margin", "mass_error", "friction", "delay", "reserve")
     settings = {name: getattr(config, name) for name in names}
     return Measurement(_rows(config, settings), {"settings": settings})
 
@@ -157,7 +160,9 @@ def carry_out(
     found = np.flatnonzero([row["found"] for row in rows])
     scenes = jax.tree.map(lambda x: np.asarray(x)[found], problems.scene)
     paths = [np.array(plans[i]["path"]) for i in found.tolist()]
-    motions = time_paths(robot, scenes, paths, margin=config.margin / 2)
+    limit = limits_of(robot).torque
+    torque = None if limit is None else (1 - config.reserve) * limit
+    motions = time_paths(robot, scenes, paths, margin=config.margin / 2, torque=torque)
     timed = np.flatnonzero([motion.success for motion in motions])
     executions = execute_trajectories(
         robot,
@@ -280,6 +285,7 @@ def table(results: Row) -> str:
         f"{1e3 * settings['margin']:g} mm to all obstacles. The arm is "
         f"{100 * settings['mass_error']:g} % heavier than its model, has {settings['friction']:g} "
         f"N m of dry friction in each joint, and torques come {1e3 * settings['delay']:g} ms late; "
+        f"motions leave {100 * settings['reserve']:g} % of the motors' torques to the controller; "
         "controller: computed torque. Proven: no point of the arm strayed from the curve by as "
         "much as that is proven to keep from all obstacles. Errors are largest ones of a motion. "
         f"{machine['processor']}, {machine['cores']} cores, gnnjax {machine['gnnjax']}.\n"

@@ -31,6 +31,7 @@ from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.cloud import Balls, Cloud, point_cloud
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.moveit import scene_from_moveit
+from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import (
     Allowed,
     Scene,
@@ -45,7 +46,6 @@ from gnnjax.scene.shapes import Shape, box, capsule, cylinder, half_space, spher
 from gnnjax.scene.surfaces import (
     height_field,
     mesh,
-    points_from_file,
     scene_from_height_field,
     scene_from_mesh,
     scene_from_points,

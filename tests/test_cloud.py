@@ -30,6 +30,7 @@ from gnnjax.scene.cloud import (
 )
 from gnnjax.scene.field import distance_field, make_grid
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
+from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import inflated, scene_from_shapes, stack_scenes, without_points
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import box
@@ -38,7 +39,6 @@ from gnnjax.scene.surfaces import (
     enclosed,
     height_field,
     mesh,
-    points_from_file,
     scene_from_height_field,
     scene_from_mesh,
     scene_from_points,

@@ -12,6 +12,7 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
 from gnnjax.scene.allowed import allow_contacts, refuse_allowed
 from gnnjax.scene.cloud import Balls, point_cloud
+from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import Scene, box_bucket, scene_from_shapes
 from gnnjax.scene.shapes import (
     FIELDS,
@@ -23,7 +24,7 @@ from gnnjax.scene.shapes import (
     for_every_kind,
     kind_of,
 )
-from gnnjax.scene.surfaces import height_field, mesh, points_from_file
+from gnnjax.scene.surfaces import height_field, mesh
 
 # The lists of a scene file.
 _LISTS = for_every_kind(

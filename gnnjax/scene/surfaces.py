@@ -1,4 +1,4 @@
-"""Meshes and height fields as balls that enclose them, and the files that clouds are read from."""
+"""Meshes and height fields as balls that enclose them, and the scenes of one cloud."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,9 +8,9 @@ import numpy as np
 from scipy import ndimage
 
 from gnnjax.errors import InputError
-from gnnjax.files import read_arrays
 from gnnjax.scene.cloud import MOST_METERS, RADIUS, Balls, point_cloud
 from gnnjax.scene.cloud import VOXEL as CLOUD_VOXEL
+from gnnjax.scene.point_files import by_trimesh, points_from_file
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import IDENTITY_QUAT
 
@@ -18,7 +18,6 @@ VOXEL = 0.005  # m, unless told
 INSIDE = 0.05  # m; no ball of this radius fits between those that fill a solid
 _MOST_CELLS = 200  # along an edge of the lattice in which solids are filled
 _MOST_SAMPLES = 20_000_000  # points on a surface
-_TYPES = {"F": "f", "U": "u", "I": "i"}  # of PCD's numbers, as NumPy calls them
 
 
 def mesh(
@@ -50,7 +49,7 @@ def mesh(
     called = f"mesh {str(file)!r}"
     if not 0 < scale < np.inf:
         raise InputError(f"scale of {called} is {scale}; it must be positive")
-    loaded = _by_trimesh(Path(file), called, "mesh")
+    loaded = by_trimesh(Path(file), called, "mesh")
     vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
     rotation = _rotation(quat, called)
     placed = scale * vertices @ rotation.T + _vector(center, f"center of {called}")
@@ -234,92 +233,6 @@ def _vector(value: Sequence | np.ndarray, called: str, width: int = 3) -> np.nda
     if array.shape != (width,) or not np.isfinite(array).all():
         raise InputError(f"{called} is {value!r}; give {width} finite numbers")
     return array
-
-
-def _by_trimesh(file: Path, called: str, what: str):
-    if not file.is_file():
-        raise InputError(f"no {called}; check the path")
-    try:
-        import trimesh
-    except ImportError:
-        raise InputError(
-            f"{called} is read by trimesh, which is missing; pip install trimesh"
-        ) from None
-    try:
-        loaded = (
-            trimesh.load(str(file), force="mesh") if what == "mesh" else trimesh.load(str(file))
-        )
-    except Exception as error:  # whatever its readers of many formats raise
-        raise InputError(f"{called} cannot be read ({error}); mend or convert it") from None
-    if what == "mesh" and not (
-        isinstance(loaded, trimesh.Trimesh) and len(loaded.faces) and len(loaded.vertices)
-    ):
-        raise InputError(f"{called} has no faces; points alone are a point_cloud")
-    return loaded
-
-
-def points_from_file(path: str | Path) -> np.ndarray:
-    """Points `[K, 3]` of a .npy, .npz (`points`, or its one array), .pcd or .ply file.
-
-    Points with NaN, by which depth cameras say that they saw nothing, are left out.
-
-    Raises:
-        InputError: no such file, or none that holds points.
-    """
-    file = Path(path)
-    called = f"file of points {str(path)!r}"
-    if not file.is_file():
-        raise InputError(f"no {called}; check the path")
-    ending = file.suffix.lower()
-    if ending == ".pcd":
-        points = _read_pcd(file, called)
-    elif ending == ".npy":
-        try:
-            points = np.load(file, allow_pickle=False)
-        except (ValueError, OSError, EOFError) as error:
-            raise InputError(f"{called} cannot be read ({error}); save it by numpy.save") from None
-    elif ending == ".npz":
-        arrays = read_arrays(file)
-        if "points" not in arrays and len(arrays) != 1:
-            raise InputError(f"{called} holds {sorted(arrays)}; name one of these `points`")
-        points = arrays.get("points", next(iter(arrays.values())))
-    elif ending == ".ply":
-        points = np.asarray(getattr(_by_trimesh(file, called, "points"), "vertices", ()))
-    else:
-        raise InputError(f"{called} is none of .npy, .npz, .pcd and .ply; convert it")
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
-        raise InputError(f"{called} holds {points.dtype} {points.shape}; give numbers [K, 3]")
-    return points[~np.isnan(points).any(axis=1)]
-
-
-def _read_pcd(file: Path, called: str) -> np.ndarray:
-    """x, y and z of a point cloud of PCL, in text or uncompressed."""
-    content = file.read_bytes()
-    header: dict[str, list[str]] = {}
-    at = 0
-    try:
-        while "DATA" not in header:
-            end = content.index(b"\n", at)
-            name, *rest = content[at:end].decode("ascii").split() or ["#"]
-            header[name] = rest
-            at = end + 1
-        fields, (count,), (form,) = header["FIELDS"], map(int, header["POINTS"]), header["DATA"]
-        repeated = list(map(int, header.get("COUNT", ["1"] * len(fields))))
-        where = [fields.index(axis) for axis in "xyz"]
-        if form == "ascii":
-            rows = np.loadtxt(content[at:].decode("ascii").splitlines(), ndmin=2)
-            begin = np.cumsum([0, *repeated])
-            return rows[:count, begin[where]]
-        if form == "binary":
-            kinds = zip(fields, header["TYPE"], header["SIZE"], repeated, strict=True)
-            record = np.dtype(
-                [(f"{i}", f"<{_TYPES[t]}{s}", n) for i, (_, t, s, n) in enumerate(kinds)]
-            )
-            rows = np.frombuffer(content, record, count, at)
-            return np.stack([rows[f"{i}"].reshape(count) for i in where], axis=1).astype(float)
-    except (ValueError, KeyError, UnicodeDecodeError) as error:
-        raise InputError(f"{called} is no PCD file ({error}); save it anew") from None
-    raise InputError(f"{called} is {form}; save it as ascii or binary")
 
 
 def scene_from_points(
