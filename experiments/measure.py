@@ -17,6 +17,7 @@ from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.planning.planner import make_planner
+from gnnjax.problems.shards import load_problems
 
 SEEDS = (0, 1, 2)
 
@@ -51,7 +52,11 @@ class MissingProblems(InputError):
 def problem_set(
     config: ExperimentConfig, robot: str, *, family: str = "paper", num_problems: int = 300
 ) -> Path:
-    """The file of a test set, generated if it is missing."""
+    """The file of a test set, generated if it is missing.
+
+    Raises:
+        InputError: the file that is there holds fewer problems.
+    """
     stem = Path(robot).stem
     name = stem if family == "paper" else f"{stem}_{family}"
     path = config.data / f"{name}_test{'_quick' if config.quick else ''}.npz"
@@ -61,6 +66,11 @@ def problem_set(
             GenerateConfig(
                 split="test", robot=robot, num_problems=num_problems, out=path, **family_option
             )
+        )
+    held = len(load_problems(path, load_robot(robot)))
+    if held < num_problems and not config.quick:
+        raise InputError(
+            f"{str(path)!r} holds {held} problems, and {num_problems} are wanted; remove it"
         )
     return path
 

@@ -95,7 +95,9 @@ def _rows(config: RealArmConfig, settings: Row) -> Iterator[Row]:
     # All arms come with one kind of problems before any comes with the next.
     for family in config.families:
         for arm in (config.robot,) if config.robot else config.arms:
-            path = problem_set(config, arm, family=family, num_problems=config.num_problems)
+            # Of the set that other experiments use, the first.
+            num = config.num_problems if config.quick else max(300, config.num_problems)
+            path = problem_set(config, arm, family=family, num_problems=num)
             text = json.dumps([settings, config.seeds[0]]).encode() + path.read_bytes()
             digest = hashlib.sha256(text).hexdigest()[:8]
             folder = config.runs / f"real_arm_{path.stem}_{digest}"

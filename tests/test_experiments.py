@@ -393,3 +393,11 @@ def test_an_option_is_named_where_it_is_not_the_default(tmp_path):
     assert measure.slug(case) == "set_guided_200_shorten-False_sampled-True"
     parsed = tyro.cli(EvaluateConfig, args=shlex.split(measure.command(case))[3:])
     assert (parsed.planner, parsed.shorten, parsed.sampled) == ("guided", False, True)
+
+
+def test_a_set_with_fewer_problems_than_are_wanted_is_refused(tiny_path, tmp_path):
+    config = ExperimentConfig(data=tmp_path)
+    path = measure.problem_set(config, str(tiny_path), num_problems=2)
+    assert measure.problem_set(config, str(tiny_path), num_problems=2) == path
+    with pytest.raises(InputError, match="holds 2 problems, and 3 are wanted; remove it"):
+        measure.problem_set(config, str(tiny_path), num_problems=3)

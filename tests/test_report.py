@@ -137,10 +137,9 @@ def slow_in_a_pool(results):
         row["per_s"] = [1.0 for _ in row["per_s"]]
 
 
-def all_of_them_solved(results):
+def some_unsolved(results):
     for row in of_planner(results, "guided"):
-        row["num_accepted"] = row["num_problems"]
-        row |= {"success_of_all": 1.0, "success": 1.0}
+        row |= {"success_of_all": 137 / 140, "success": 137 / 140}
 
 
 def motions_that_swing(results):
@@ -153,9 +152,9 @@ def motions_that_swing(results):
     [
         (
             "motion_bench_maker",
-            all_of_them_solved,
+            some_unsolved,
+            "Holds: 140 of 140 problems have both ends free; 140 of these 140 are solved",
             "What does not hold: 137 of these 140 are solved",
-            "140 of 140 problems have both ends free; 140 of these 140 are solved",
         ),
         ("real_arm", motions_that_swing, "Holds: kuka", "Does not hold: kuka_iiwa14: 50.0 ("),
         ("throughput", slow_in_a_pool, "Holds: ", "does not hold: all accepted problems: guided"),
