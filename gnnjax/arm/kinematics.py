@@ -152,81 +152,6 @@ def move_joint(joint: Joint, position: Vector, rotation: Matrix, joints: Joints)
     return subtract(anchor, [dot(row, _constant(joint.anchor)) for row in rotation]), rotation
 
 
-def frame_arrays(robot: Robot, q: Float[Array, "N D"]) -> Float[Array, "L 3 4 N"]:
-    """Rotation and position [m] of every body and, last, of the world, as one array.
-
-    For few configurations: the components of `body_frames` are faster where all of a pass is fused
-    into one loop, but written to memory each of them is a loop of its own, 12 a body, each of which
-    takes its time to compile and to call. Here a body is one loop.
-    """
-    values, cos, sin = joint_terms(robot, q)
-    moves = _moves(robot)
-    index = np.array([move.joint for move in moves])
-    fixed, with_cos, with_sin, with_value = (
-        jnp.asarray(np.stack(x), q.dtype)[..., None]
-        for x in zip(*(move[3:] for move in moves), strict=True)
-    )
-
-    def of_joints(terms: jax.Array) -> jax.Array:
-        return terms[index][:, None, None]
-
-    local = fixed + with_cos * of_joints(cos) + with_sin * of_joints(sin)
-    local += with_value * of_joints(values)
-    frames: list[jax.Array] = []
-    for move, each in zip(moves, local, strict=True):
-        frame = each
-        if move.parent >= 0:
-            before = frames[move.parent]
-            frame = jnp.sum(before[:, :3, None] * each[None], axis=1)
-            frame += jnp.pad(before[:, 3:], ((0, 0), (3, 0), (0, 0)))
-        # Written to memory, or every number would be computed from the base on.
-        frames.append(jax.lax.optimization_barrier(frame))
-    last = {}
-    for number, move in enumerate(moves):
-        last[move.body] = frames[number]
-    world = jnp.broadcast_to(jnp.eye(3, 4, dtype=q.dtype)[..., None], (3, 4, len(q)))
-    return jnp.stack([*(last[b] for b in range(len(robot.bodies))), world])
-
-
-class _Move(NamedTuple):
-    """A frame `[3 4]` behind a body's placement and one of its joints, seen from an earlier one."""
-
-    body: int
-    parent: int  # of the moves; -1: the world
-    joint: int  # whose cosine, sine and value count
-    fixed: np.ndarray
-    with_cos: np.ndarray
-    with_sin: np.ndarray
-    with_value: np.ndarray
-
-
-def _moves(robot: Robot) -> list[_Move]:
-    moves: list[_Move] = []
-    last: list[int] = []  # move of each body
-    none = np.zeros((3, 4))
-    for number, body in enumerate(robot.bodies):
-        parent = last[body.parent] if body.parent >= 0 else -1
-        placed = np.column_stack([body.rotation, body.position])
-        if not body.joints:
-            moves.append(_Move(number, parent, 0, placed, none, none, none))
-        for joint in body.joints:
-            parts = [np.eye(3, 4), none, none, none]
-            if joint.hinge:  # Rodrigues' formula, about an axis through the anchor
-                x, y, z = joint.axis
-                along = np.outer(joint.axis, joint.axis)
-                turns = along, np.eye(3) - along, np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-                parts[:3] = [np.column_stack([t, -t @ joint.anchor]) for t in turns]
-                parts[0][:, 3] += joint.anchor
-            else:
-                parts[3] = np.column_stack([np.zeros((3, 3)), joint.axis])
-            seen = [placed[:, :3] @ part for part in parts]
-            seen[0][:, 3] += placed[:, 3]
-            moves.append(_Move(number, parent, joint.index, *seen))
-            parent, placed = len(moves) - 1, np.eye(3, 4)
-        last.append(len(moves) - 1)
-    return moves
-
-
 def forward_kinematics(
     robot: Robot, q: Float[Array, "*batch D"]
 ) -> tuple[Float[Array, "*batch L 3"], Float[Array, "*batch L 3 3"]]:
@@ -234,6 +159,15 @@ def forward_kinematics(
 
     Seen from the base of the arm, like scenes.
     """
-    frames = jnp.moveaxis(frame_arrays(robot, q.reshape(-1, q.shape[-1]))[:-1], -1, 0)
-    frames = frames.reshape(*q.shape[:-1], *frames.shape[1:])
-    return frames[..., 3], frames[..., :3]
+    frames = body_frames(robot, joint_terms(robot, q))
+    shape = q.shape[:-1]
+
+    def full(value: Scalar) -> jax.Array:
+        return jnp.broadcast_to(jnp.asarray(value, q.dtype), shape)
+
+    positions = [jnp.stack([full(x) for x in p], axis=-1) for p, _ in frames]
+    rotations = [
+        jnp.stack([jnp.stack([full(x) for x in row], axis=-1) for row in r], axis=-2)
+        for _, r in frames
+    ]
+    return jnp.stack(positions, axis=-2), jnp.stack(rotations, axis=-3)

@@ -7,8 +7,9 @@ until one is found in contact or all are apart.
 """
 
 import functools
+import itertools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from gnnjax.arm.hulls import simplify
-from gnnjax.arm.kinematics import frame_arrays, joint_terms
+from gnnjax.arm.kinematics import WORLD, Frame, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.spheres import Obstacle, Passes, Placed
@@ -103,13 +104,13 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         parts = jax.tree.map(
             lambda x: jnp.moveaxis(x[number, ..., owner], 0, -1), tuple(placed)[:-1]
         )
-        obstacle, frames = Obstacle(*parts), frame_arrays(robot, q)
+        obstacle, frames = Obstacle(*parts), _frames(robot, q)
         turned = obstacle.rotation
         if turned is None:
             turned = jnp.broadcast_to(jnp.eye(3)[..., None], (3, 3, len(q)))
 
         def gaps(part: jax.Array, lane: jax.Array) -> jax.Array:
-            position, rotation = _seen(turned[..., lane], *_at(frames, bodies[part], lane))
+            position, rotation = _seen(turned[..., lane], *frames[bodies[part], lane])
             position = position + obstacle.origin[:, lane]
             disc, ball = obstacle.radii[:, lane]
             shapes = convex.Obstacles(obstacle.half_extents[:, lane], disc, ball)
@@ -118,12 +119,12 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         return _test_pairs(_bits(touching(obstacle, q), len(bodies)) & wanted, gaps)
 
     def clear_of_itself(q: Float[Array, "N D"], wanted: Bool[Array, " N"]) -> Bool[Array, " N"]:
-        frames = frame_arrays(robot, q)
+        frames = _frames(robot, q)
 
         def gaps(pair: jax.Array, lane: jax.Array) -> jax.Array:
             first, second = couples[:, pair]
-            origin, axes = _at(frames, bodies[first], lane)
-            base, seen_from = _at(frames, bodies[second], lane)
+            origin, axes = frames[bodies[first], lane]
+            base, seen_from = frames[bodies[second], lane]
             turned = jnp.swapaxes(seen_from, 0, 1)
             position, rotation = _seen(turned, origin - base, axes)
             nothing = jnp.zeros(len(pair))
@@ -147,10 +148,34 @@ def _pairs(robot: Robot) -> dict[tuple[int, int], int]:
     return found
 
 
-def _at(frames: jax.Array, body: jax.Array, lane: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Positions `[3 N]` and rotations `[3 3 N]` of bodies at configurations."""
-    chosen = jnp.moveaxis(frames[body, ..., lane], 0, -1)
-    return chosen[:, 3], chosen[:, :3]
+class _Frames:
+    """Where bodies are at C configurations; `frames[body, at]` are `[3 N]` and `[3 3 N]`."""
+
+    def __init__(self, origins: jax.Array, axes: jax.Array):
+        self.origins, self.axes = origins, axes  # [L 3 C], [L 3 3 C]
+
+    def __getitem__(self, where: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        body, at = where
+        return self.origins[body, :, at].T, jnp.moveaxis(self.axes[body, :, :, at], 0, -1)
+
+
+def _frames(robot: Robot, q: jax.Array) -> _Frames:
+    def full(component: Any) -> jax.Array:
+        return jnp.broadcast_to(jnp.asarray(component, q.dtype), len(q))
+
+    def as_array(frame: Frame) -> jax.Array:
+        origin, rows = frame
+        return jnp.stack([full(x) for x in itertools.chain(origin, *rows)])
+
+    def settle(frame: Frame) -> Frame:
+        # Written to memory, or every number of every body would be computed from the base on.
+        origin, *rows = np.split(np.arange(12), 4)
+        array = jax.lax.optimization_barrier(as_array(frame))
+        return [array[i] for i in origin], [[array[i] for i in row] for row in rows]
+
+    frames = body_frames(robot, joint_terms(robot, q), settle=settle)
+    stacked = jnp.stack([as_array(frame) for frame in (*frames, WORLD)])
+    return _Frames(stacked[:, :3], stacked[:, 3:].reshape(-1, 3, 3, len(q)))
 
 
 def _seen(turned: jax.Array, origin: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:
