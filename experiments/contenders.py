@@ -1,8 +1,8 @@
 """Planners against the clock: from arrays of problems to certified paths, by every core there is.
 
-Ours plan a pool of problems at once in this process, whose kernels use all cores. OMPL's plan one
-problem after the other in processes of their own, each on a core of its own. Either way the clock
-runs from the arrays of all problems to the last path: queries are checked, and paths certified.
+Processes share the problems, each on a core of its own. Ours plan a pool of problems at once,
+OMPL's one problem after the other. Either way the clock runs from the arrays of all problems to the
+last path: queries are checked, and paths certified.
 """
 
 import dataclasses
@@ -20,7 +20,8 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planning.planner import make_planner
+from gnnjax.planning.planner import Planner, make_planner
+from gnnjax.planning.processes import PlannerProcesses
 from gnnjax.planning.query import Plan, QueryPlanner, check_queries
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
@@ -70,11 +71,18 @@ def in_pools(planner: QueryPlanner, problems: Problem, pool: int, seed: int) -> 
     num = len(problems.start)
     batches = np.array_split(np.arange(num), -(-num // pool))
     answers: list[Answer] = []
-    begin, cpu = time.perf_counter(), time.process_time()
+    cpu = _cpu_time(planner)
+    begin = time.perf_counter()
     for batch in batches:
         answers += answer(planner, jax.tree.map(lambda x, at=batch: x[at], problems), seed)
     wall = time.perf_counter() - begin
-    return Turn(wall, (time.process_time() - cpu) / wall, answers)
+    return Turn(wall, (_cpu_time(planner) - cpu) / wall, answers)
+
+
+def _cpu_time(planner: QueryPlanner) -> float:
+    """Of this process and those that the planner has, s."""
+    theirs = planner.cpu_time() if isinstance(planner, PlannerProcesses) else 0.0
+    return time.process_time() + theirs
 
 
 def in_processes(workers: Executor, case: EvaluateConfig, rows: np.ndarray) -> Turn:
@@ -104,6 +112,14 @@ def answer_one(case: EvaluateConfig, row: int) -> tuple[Answer, float]:
 def planner_of(case: EvaluateConfig) -> QueryPlanner:
     """The planner of a case."""
     return make_planner(robot_of(case), case)
+
+
+@functools.cache
+def processes_of(case: EvaluateConfig, num: int) -> QueryPlanner:
+    """The planner of a case in processes, which end with this one."""
+    planner = planner_of(case)
+    assert isinstance(planner, Planner)
+    return PlannerProcesses(planner, num)
 
 
 def robot_of(case: EvaluateConfig) -> Robot:

@@ -36,6 +36,7 @@ from experiments.contenders import (
     in_processes,
     planner_of,
     problems_of,
+    processes_of,
     start_workers,
 )
 from experiments.measure import ExperimentConfig, MissingProblems, problem_set
@@ -67,7 +68,7 @@ class MotionBenchMakerConfig(ExperimentConfig):
     time_limit: float = 1.0
     """Seconds after which OMPL's planners give a problem up."""
     processes: int = 2
-    """Processes of OMPL's planners."""
+    """Processes of OMPL's planners, and of ours where a scene's problems are planned at once."""
 
 
 def measurement(config: MotionBenchMakerConfig) -> Measurement:
@@ -146,7 +147,8 @@ def _rows(
         for scene, chosen in rows.items():
             for planner in (OWN, *RIVALS):
                 path = folder / f"{scene}_{planner.replace(':', '-')}.json"
-                taken = kept(path, functools.partial(_plan, workers, case(planner), chosen))
+                plan = functools.partial(_plan, workers, case(planner), chosen, config.processes)
+                taken = kept(path, plan)
                 turns.setdefault(planner, {})[scene] = taken
                 print(f"{scene}: {label(planner)}, {per_s(taken[-1]):.1f} plans/s", flush=True)
                 yield _row(scene, planner, [taken], [turns[OWN][scene]])
@@ -170,15 +172,16 @@ def _rows(
             }
 
 
-def _plan(workers: Executor, case: EvaluateConfig, chosen: np.ndarray) -> list[Columns]:
+def _plan(
+    workers: Executor, case: EvaluateConfig, chosen: np.ndarray, processes: int
+) -> list[Columns]:
     """The turn that is told of, and for ours another with all problems at once."""
     if case.is_classical:
         in_processes(workers, case, chosen)  # compiles
         return [summarize_turn(in_processes(workers, case, chosen))]
-    everything, planner = problems_of(case), planner_of(case)
-    own = jax.tree.map(lambda x: x[chosen], everything)
+    own = jax.tree.map(lambda x: x[chosen], problems_of(case))
     found = []
-    for pool in (1, len(chosen)):
+    for pool, planner in ((1, planner_of(case)), (len(chosen), processes_of(case, processes))):
         in_pools(planner, own, pool, case.seed)
         found.append(summarize_turn(in_pools(planner, own, pool, case.seed)))
     return found

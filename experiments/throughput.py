@@ -5,21 +5,22 @@
 
 Problems a second, on the wall clock from the arrays of all problems to the arrays of certified
 paths; checking the queries is part of it, compilation is not: everything is planned once before,
-untimed. The guided planner, with and without shortening, plans as many distinct problems at once as
-the pool has room for; a larger pool than there are problems holds all of them. RRT-Connect, with
-and without OMPL's simplification, tests with the same kernel and plans one problem after the other
-in two processes, each on a core of its own, that share the problems; the clock runs for both
-together. Who is compared takes turns, so that whatever else the machine does slows all of them;
-ratios are those within a turn, and of all turns the median counts. The other pools plan in the
-first turn alone. Turns are kept in `runs/`, and a run that was cut off goes on with the next one.
+untimed. Two processes, each on a core of its own, share the problems; the clock runs for both
+together. The guided planner, with and without shortening, plans as many distinct problems at once
+as the pool has room for, half of them in each process; a larger pool than there are problems holds
+all of them. RRT-Connect, with and without OMPL's simplification, tests with the same kernel and
+plans one problem after the other. Who is compared takes turns, so that whatever else the machine
+does slows all of them; ratios are those within a turn, and of all turns the median counts. The
+other pools plan in the first turn alone. Turns are kept in `runs/`, and a run that was cut off goes
+on with the next one.
 
 Strata: all accepted problems, which include some that nobody solves and that RRT-Connect spends its
 time limit on; and those that the guided planner solves. Refused problems (an end in collision) are
 part of the arrays in the first stratum, but do not count as planned.
 
-Total times are those of single queries: pools of one, and all of RRT-Connect's. They hold the
-check of the query, and the guided planner's the certificate; RRT-Connect's paths are certified
-afterwards, on the wall clock but not in the total time.
+Total times are those of single queries: pools of one, in one process, and all of RRT-Connect's.
+They hold the check of the query, and the guided planner's the certificate; RRT-Connect's paths are
+certified afterwards, on the wall clock but not in the total time.
 """
 
 import dataclasses
@@ -42,6 +43,7 @@ from experiments.contenders import (
     peak_memory,
     planner_of,
     problems_of,
+    processes_of,
     start_workers,
 )
 from experiments.measure import ExperimentConfig
@@ -81,7 +83,7 @@ class ThroughputConfig(ExperimentConfig):
     time_limit: float = 1.0
     """Seconds after which RRT-Connect gives a problem up."""
     processes: int = 2
-    """Processes of RRT-Connect."""
+    """Processes that share the problems, ours and RRT-Connect's alike."""
     memory_pool: int = 1024
     """Problems planned at once by the process whose memory is measured."""
 
@@ -175,7 +177,9 @@ def _rows(
                 return in_processes(workers, made, rows)
             some = rows[: settings["singles"]] if contender.pool == 1 else rows
             own = jax.tree.map(lambda x: x[some], problems)
-            return in_pools(planner_of(made), own, contender.pool, made.seed)
+            alone = contender.pool == 1
+            planner = planner_of(made) if alone else processes_of(made, config.processes)
+            return in_pools(planner, own, contender.pool, made.seed)
 
         warm: set[tuple[Contender, int]] = set()
 
@@ -260,9 +264,10 @@ def table(results: Row) -> str:
     settings, memory = results["settings"], results["peak_memory"]
     machine = results["machine"]
     parts = [
-        f"{settings['num_problems']} distinct problems of {settings['set']}.npz; RRT-Connect in "
-        f"{settings['processes']} processes, at most {settings['time_limit']:g} s a problem. Pools "
-        f"of one plan the first {settings['singles']} problems. {machine['processor']}, "
+        f"{settings['num_problems']} distinct problems of {settings['set']}.npz, shared by "
+        f"{settings['processes']} processes; RRT-Connect takes at most "
+        f"{settings['time_limit']:g} s a problem. Pools of one plan the first "
+        f"{settings['singles']} problems in one process. {machine['processor']}, "
         f"{machine['cores']} cores, jax {machine['jax']}, gnnjax {machine['gnnjax']}. A process "
         f"that plans {memory['pool']} problems at once needs {memory['MiB']:.0f} MiB at most. "
         f"VAMP's own figures, on another machine and other problems (C++ with SIMD, the Panda in "

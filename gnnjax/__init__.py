@@ -15,6 +15,7 @@ from gnnjax.guide.guide import Guide, Prices
 from gnnjax.guide.motion import MotionNetwork, motion_guide
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner, load_planner, make_planner
+from gnnjax.planning.processes import PlannerProcesses
 from gnnjax.planning.query import Plan
 from gnnjax.planning.strategy import Strategy
 from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
@@ -86,6 +87,7 @@ __all__ = [
     "Plan",
     "Planner",
     "PlannerOptions",
+    "PlannerProcesses",
     "Prices",
     "Problem",
     "ProblemSet",

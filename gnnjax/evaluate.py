@@ -7,6 +7,7 @@ A path that comes after the time limit is a failure, whatever the planner.
 Results are written as they come; the same command goes on where it was cut off.
 """
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import json
@@ -17,9 +18,7 @@ from typing import Any
 import jax
 import numpy as np
 import tyro
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError, brief, check_seed, is_out_of_memory, run_command
@@ -27,8 +26,10 @@ from gnnjax.files import atomic_write, check_target, locked
 from gnnjax.measure.machine import describe_machine
 from gnnjax.measure.rows import ROW, make_row, straight_line_blocked, within
 from gnnjax.measure.statistics import summarize
+from gnnjax.measure.table import print_summary
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import make_planner
+from gnnjax.planning.planner import Planner, make_planner
+from gnnjax.planning.processes import LEAST_SHARE, PlannerProcesses
 from gnnjax.planning.query import Plan, QueryPlanner, check_queries
 from gnnjax.problems.problem import ProblemSet
 from gnnjax.problems.shards import load_problems
@@ -54,6 +55,8 @@ class EvaluateConfig(PlannerOptions):
     batch_size: int = 1
     """Problems planned at once, fewer where memory does not suffice. With 1, times are those of
     single queries; with more, the shares of each problem in its batch."""
+    processes: int = 1
+    """Processes that share each batch, each on a core of its own; not for OMPL's planners."""
     time_limit: float = 5.0
     """Seconds a problem may take; a path that comes later is a failure."""
     seed: int = 0
@@ -72,6 +75,7 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
             f"batch_size is {config.batch_size}, num_problems {config.num_problems}; "
             "both must be at least 1"
         )
+    _check_processes(config)
     check_seed(config.seed)
     check_target(config.json)
     planner = planner or make_planner(load_robot(config.robot), config)
@@ -79,8 +83,29 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     del settings["json"]
     settings |= {"num_problems": len(problems), "radius": planner.radius}
-    with locked(config.json):
+    with locked(config.json), _in_processes(planner, config) as planner:
         return _evaluate(planner, problems, settings, config)
+
+
+def _in_processes(
+    planner: QueryPlanner, config: EvaluateConfig
+) -> contextlib.AbstractContextManager[QueryPlanner]:
+    """The planner, in so many processes as are wanted."""
+    if config.processes == 1:
+        return contextlib.nullcontext(planner)
+    assert isinstance(planner, Planner)  # OMPL's is none
+    return PlannerProcesses(planner, config.processes)
+
+
+def _check_processes(config: EvaluateConfig) -> None:
+    num = config.processes
+    if num != 1 and config.is_classical:
+        raise InputError(f"processes is {num} with planner {config.planner!r}; it takes 1")
+    if num < 1 or (num > 1 and config.batch_size < num * LEAST_SHARE):
+        raise InputError(
+            f"processes is {num} with batch_size {config.batch_size}; they share out a batch, "
+            f"which needs at least {LEAST_SHARE} problems for each of them"
+        )
 
 
 def _evaluate(
@@ -227,58 +252,6 @@ def _check_rows(rows: list[dict]) -> None:
 def _write(path: Path, results: dict[str, Any]) -> None:
     text = json.dumps(results, allow_nan=False)
     atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
-
-
-# What a summary's title says of options that are not at their defaults.
-_VARIANTS = {
-    "simplify": (True, "simplified"),
-    "shorten": (False, "not shortened"),
-    "sampled": (True, "on sampled roadmaps"),
-}
-
-
-def print_summary(results: dict[str, Any]) -> None:
-    """Prints a summary as a table."""
-    settings, summary = results["settings"], results["summary"]
-    title = settings["planner"]
-    if not title.startswith("ompl:"):
-        title += f", {settings['num_nodes']} nodes"
-    for name, (value, words) in _VARIANTS.items():
-        if settings[name] == value:
-            title += f", {words}"
-    table = Table(
-        "stratum", "solved", "certified", "edge checks", "configuration checks", "cost", title=title
-    )
-    table.add_column("planning [ms]")
-    table.add_column("total [ms]")
-    for stratum in ("all", "hard"):
-        part = summary[stratum]
-        if not part["num_problems"]:
-            continue
-
-        def text(name: str, form: str, scale: float = 1.0, part: dict = part) -> str:
-            if part[name] is None:
-                return "-"
-            mean, median = part[name]["mean"] * scale, part[name]["median"] * scale
-            return f"{mean:{form}} ({median:{form}})"
-
-        table.add_row(
-            f"{stratum} ({part['num_problems']})",
-            f"{100 * part['success']:.1f} %",
-            f"{100 * part['certified']:.1f} %",
-            text("edge_checks", ".1f"),
-            text("configuration_checks", ".0f"),
-            text("cost", ".2f"),
-            text("planning_time_s", ".1f", 1e3),
-            text("total_time_s", ".1f", 1e3),
-        )
-    console = Console()
-    console.print(table)
-    console.print("mean (median); times are of compiled code")
-    if summary["num_invalid"]:
-        console.print(
-            f"{summary['num_invalid']} invalid problems left out: {summary['invalid_problems']}"
-        )
 
 
 def main() -> None:

@@ -13,10 +13,11 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
 from gnnjax.errors import InputError, run_command
-from gnnjax.evaluate import EvaluateConfig, evaluate, main, print_summary
+from gnnjax.evaluate import EvaluateConfig, evaluate, main
 from gnnjax.files import locked
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.measure.statistics import summarize
+from gnnjax.measure.table import print_summary
 from gnnjax.planning.planner import GuidedPlanner, make_planner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.file import save_problems

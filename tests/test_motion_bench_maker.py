@@ -113,6 +113,7 @@ def planners(monkeypatch):
     monkeypatch.setattr(motion_bench_maker, "start_workers", ThreadPoolExecutor)
     for module in (motion_bench_maker, contenders):
         monkeypatch.setattr(module, "planner_of", stand_in)
+    monkeypatch.setattr(motion_bench_maker, "processes_of", lambda case, num: stand_in(case))
     return made
 
 

@@ -51,14 +51,14 @@ problems.problem problems.file problems.shards problems.camera problems.families
 problems.family_problem problems.labelled problems.moveit
 planning.options planning.query planning.clock planning.progress planning.strategy
 planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
-planning.engine planning.planner
+planning.engine planning.planner planning.processes
 trajectory.limits trajectory.dynamics trajectory.curve trajectory.smooth trajectory.timing
 trajectory.trajectory trajectory.files trajectory.control trajectory.simulate
 trajectory.execution
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
-measure.machine measure.rows measure.statistics
+measure.machine measure.rows measure.statistics measure.table
 generate paper.losses train train_motion evaluate plot video plan plot_execution execute fit
 """.split()
 # Imported up the list, inside of functions: by name, when somebody asks for it.

@@ -68,6 +68,7 @@ def test_turns_are_clocked_kept_and_summed_up(tiny_path, tmp_path, problems, mon
     monkeypatch.setattr(throughput, "peak_memory", lambda case, num: 100.0 + num)
     for module in (throughput, contenders):
         monkeypatch.setattr(module, "planner_of", stand_in)
+    monkeypatch.setattr(throughput, "processes_of", lambda case, num: stand_in(case))
     folders = {key: tmp_path / key for key in ("data", "runs", "results")}
     config = ThroughputConfig(
         robot=str(tiny_path), problems=problems, pools=(1, 4, 20), singles=3, turns=2, **folders

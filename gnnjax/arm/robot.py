@@ -89,6 +89,11 @@ class Robot:
     self_pairs: np.ndarray  # [S 2] indices of rows of `part_pairs`
     notes: tuple[str, ...]  # what was decided where the file leaves it open
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process gets: all but the spec, which cannot be sent, and which nothing
+        needs but MuJoCo's worlds and `attach`."""
+        return {name: value for name, value in vars(self).items() if name != "mj_spec"}
+
     @property
     def geom_ids(self) -> np.ndarray:
         """`[G]` geom of `mj_model` that each row covers."""

@@ -103,15 +103,15 @@ def make_planner(
 
         return ClassicalPlanner(robot, options)
     if name == "guided":
-        return GuidedPlanner(
-            robot, Guided(robot, guide or _guide(robot, options), options), options
-        )
+        strategy = Guided(robot, guide or _guide(robot, options), options)
+        return GuidedPlanner(robot, strategy, options, {"guide": guide})
     if name in ("gnn", "gnn_lazy"):
         from gnnjax.paper import strategy as paper
 
         return WalkPlanner(robot, paper.from_weights(robot, options), options)
     if scorer is not None:
-        return WalkPlanner(robot, strategies.greedy(robot, options, scorer), options)
+        strategy = strategies.greedy(robot, options, scorer)
+        return WalkPlanner(robot, strategy, options, {"scorer": scorer})
     return WalkPlanner(robot, getattr(strategies, name)(robot, options), options)
 
 
@@ -131,13 +131,21 @@ class Planner(abc.ABC):
     Compiles on the first query and keeps the result on disk; `warm_up` does so beforehand.
     """
 
-    def __init__(self, robot: Robot, strategy: Guided | Strategy, options: PlannerOptions):
+    def __init__(
+        self,
+        robot: Robot,
+        strategy: Guided | Strategy,
+        options: PlannerOptions,
+        given: dict[str, Any] | None = None,
+    ):
         """Args:
         robot: the arm.
         strategy: how a problem is planned.
         options: limits.
+        given: what `make_planner` was given besides.
         """
         check_options(options)
+        self.given = given or {}
         self.robot, self.strategy, self.options = robot, strategy, options
         self.use_weights(strategy.weights)
 

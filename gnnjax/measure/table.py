@@ -1,0 +1,57 @@
+"""A summary of results as a table on the terminal."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+# What a summary's title says of options that are not at their defaults.
+_VARIANTS = {
+    "simplify": (True, "simplified"),
+    "shorten": (False, "not shortened"),
+    "sampled": (True, "on sampled roadmaps"),
+}
+
+
+def print_summary(results: dict[str, Any]) -> None:
+    """Prints a summary as a table."""
+    settings, summary = results["settings"], results["summary"]
+    title = settings["planner"]
+    if not title.startswith("ompl:"):
+        title += f", {settings['num_nodes']} nodes"
+    for name, (value, words) in _VARIANTS.items():
+        if settings[name] == value:
+            title += f", {words}"
+    table = Table(
+        "stratum", "solved", "certified", "edge checks", "configuration checks", "cost", title=title
+    )
+    table.add_column("planning [ms]")
+    table.add_column("total [ms]")
+    for stratum in ("all", "hard"):
+        part = summary[stratum]
+        if not part["num_problems"]:
+            continue
+
+        def text(name: str, form: str, scale: float = 1.0, part: dict = part) -> str:
+            if part[name] is None:
+                return "-"
+            mean, median = part[name]["mean"] * scale, part[name]["median"] * scale
+            return f"{mean:{form}} ({median:{form}})"
+
+        table.add_row(
+            f"{stratum} ({part['num_problems']})",
+            f"{100 * part['success']:.1f} %",
+            f"{100 * part['certified']:.1f} %",
+            text("edge_checks", ".1f"),
+            text("configuration_checks", ".0f"),
+            text("cost", ".2f"),
+            text("planning_time_s", ".1f", 1e3),
+            text("total_time_s", ".1f", 1e3),
+        )
+    console = Console()
+    console.print(table)
+    console.print("mean (median); times are of compiled code")
+    if summary["num_invalid"]:
+        console.print(
+            f"{summary['num_invalid']} invalid problems left out: {summary['invalid_problems']}"
+        )

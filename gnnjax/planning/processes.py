@@ -1,0 +1,234 @@
+"""A planner in several processes, each on a core of its own.
+
+Half of what a pool of problems takes on a CPU is spent in Python, which lets one thread of a
+process at a time. Processes share nothing but the cache of compiled code.
+"""
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from typing import IO, Any
+
+import jax
+import numpy as np
+
+from gnnjax.devices import num_cores
+from gnnjax.errors import InputError, is_out_of_memory
+from gnnjax.planning.planner import Planner, make_planner
+from gnnjax.planning.query import Plan
+from gnnjax.problems.problem import Problem
+from gnnjax.scene.scene import Scene
+
+LEAST_SHARE = 8  # problems; fewer are not worth another process
+
+
+class PlannerProcesses:
+    """Plans batches as a planner does, in processes that share them out; the plans are the same.
+
+    A context manager, whose end ends the processes. They start within seconds, and compile what
+    they need or find it in the cache, as the planner itself does. Each takes the memory that the
+    planner takes.
+
+        with PlannerProcesses(load_planner("kuka_iiwa14")) as planners:
+            plans = planners.plan_batch(problems)
+    """
+
+    def __init__(self, planner: Planner, num: int | None = None):
+        """Args:
+            planner: what each process plans with.
+            num: of the processes; by default, one for each core that this one may use.
+
+        Raises:
+            InputError: an accelerator, which takes one process; or a guide or scorer of the
+                planner that cannot be sent to another process.
+        """
+        num = num_cores() if num is None else num
+        if num < 1:
+            raise InputError(f"{num} processes; it must be at least 1")
+        if jax.default_backend() != "cpu":
+            raise InputError(
+                f"processes on {jax.default_backend()!r}; they share out the cores of a CPU, plan "
+                "in this process, or set JAX_PLATFORMS=cpu"
+            )
+        self._planner = planner
+        self._workers: list[_Worker] = []
+        sent = _sent(planner)
+        try:
+            for number in range(num):
+                self._workers.append(_Worker(number, sent))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def robot(self) -> Any:
+        """The arm."""
+        return self._planner.robot
+
+    @property
+    def radius(self) -> float:
+        """Of the roadmaps, configuration units."""
+        return self._planner.radius
+
+    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
+        """See `Planner.plan_batch`; times are shared out over the processes, too.
+
+        Raises:
+            InputError: a process has ended.
+        """
+        problems = jax.tree.map(np.asarray, problems)
+        num = len(problems.start)
+        count = max(1, min(len(self._workers), num // LEAST_SHARE))
+        weights = jax.tree.map(np.asarray, self._planner.strategy.weights)
+        shares = [np.arange(i, num, count) for i in range(count)]
+        parts = [jax.tree.map(lambda x, at=at: x[at], problems) for at in shares]
+        found = self._call([("plan_batch", (weights, part, seed)) for part in parts])
+        plans: list[Any] = [None] * num
+        for share, some in zip(shares, found, strict=True):
+            for number, plan in zip(share, some, strict=True):
+                plans[number] = plan._replace(
+                    planning_time_s=plan.planning_time_s / count,
+                    total_time_s=plan.total_time_s / count,
+                )
+        return plans
+
+    def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
+        """See `Planner.warm_up`."""
+        share = -(-batch_size // max(1, min(len(self._workers), batch_size // LEAST_SHARE)))
+        asked = "warm_up", (jax.tree.map(np.asarray, scene), share)
+        self._call([asked])
+        # The others find in the cache what the first has compiled.
+        self._call([asked] * len(self._workers))
+
+    def cpu_time(self) -> float:
+        """CPU time that the processes have taken, s."""
+        return sum(self._call([("cpu_time", ())] * len(self._workers)))
+
+    def close(self) -> None:
+        """Ends the processes, whatever they are doing."""
+        while self._workers:
+            self._workers.pop().kill()
+
+    def __enter__(self) -> "PlannerProcesses":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _call(self, asked: Sequence[tuple[str, tuple]]) -> list[Any]:
+        """Asks the first processes, each a function with arguments, and waits for all of them."""
+        if not self._workers:
+            raise InputError("the processes of this planner have ended; make new ones")
+        try:
+            workers = self._workers[: len(asked)]
+            for worker, question in zip(workers, asked, strict=True):
+                worker.send(question)
+            answers = [worker.receive() for worker in workers]
+        except BaseException:  # what the others answer would be taken for the answer to the next
+            self.close()
+            raise
+        for _, error in answers:
+            if error is not None:
+                raise error
+        return [found for found, _ in answers]
+
+
+def _sent(planner: Planner) -> bytes:
+    """What a process makes the planner of."""
+    cache = jax.config.jax_compilation_cache_dir
+    try:
+        return pickle.dumps((planner.robot, planner.options, planner.given, cache))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InputError(
+            f"the planner's guide or scorer cannot be sent to another process ({error}); make it "
+            "of functions at the top of a module, or plan in this process"
+        ) from None
+
+
+class _Worker:
+    """A process with a planner."""
+
+    def __init__(self, number: int, sent: bytes):
+        # By name, and not by multiprocessing, which would run the script that asks once more.
+        code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import work; work()"
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        self.send(number)
+        self.send(sent)
+
+    def send(self, what: Any) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # `receive` says it
+            _write(self._process.stdin, what)
+
+    def receive(self) -> tuple[Any, Exception | None]:
+        """An answer, or why there is none."""
+        assert self._process.stdout is not None
+        try:
+            return pickle.load(self._process.stdout)
+        except (EOFError, pickle.UnpicklingError):
+            raise InputError(
+                f"a process of the planner has ended (status {self._process.wait()}), perhaps for "
+                "want of memory; plan fewer problems at once, or in fewer processes"
+            ) from None
+
+    def kill(self) -> None:
+        self._process.kill()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()  # type: ignore[union-attr]
+        self._process.wait()
+
+
+def _write(file: IO[bytes], what: Any) -> None:
+    pickle.dump(what, file)
+    file.flush()
+
+
+def work() -> None:
+    """What a process does: answers, until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
+    # What anything prints goes to the errors, not among the answers.
+    questions, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    number = pickle.load(questions)
+    # Before JAX starts as many threads as it may use cores.
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[number % len(cores)]})
+    robot, options, given, cache = pickle.loads(pickle.load(questions))
+    jax.config.update("jax_compilation_cache_dir", cache)
+    planner = make_planner(robot, options, **given)
+    assert isinstance(planner, Planner)
+
+    def plan_batch(weights: Any, problems: Problem, seed: int) -> list[Plan]:
+        planner.use_weights(weights)
+        return planner.plan_batch(problems, seed=seed)
+
+    functions: dict[str, Callable[..., Any]] = {
+        "plan_batch": plan_batch,
+        "warm_up": planner.warm_up,
+        "cpu_time": time.process_time,
+    }
+    while True:
+        try:
+            name, arguments = pickle.load(questions)
+        except EOFError:
+            return
+        try:
+            answer = functions[name](*arguments), None
+        except InputError as error:
+            answer = None, error
+        except Exception as error:
+            if is_out_of_memory(error):
+                answer = None, MemoryError(str(error))
+            else:
+                answer = None, RuntimeError(traceback.format_exc())
+        _write(answers, answer)
