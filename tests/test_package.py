@@ -51,7 +51,7 @@ problems.problem problems.file problems.shards problems.camera problems.families
 problems.family_problem problems.labelled problems.moveit
 planning.options planning.query planning.clock planning.progress planning.strategy
 planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
-planning.engine planning.planner planning.processes
+planning.attempts planning.engine planning.planner planning.processes
 trajectory.limits trajectory.dynamics trajectory.curve trajectory.smooth trajectory.timing
 trajectory.trajectory trajectory.files trajectory.control trajectory.simulate
 trajectory.execution

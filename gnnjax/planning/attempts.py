@@ -1,0 +1,247 @@
+"""Attempts on roadmaps: a pool of slots, each with a problem and a roadmap of its own, in rounds.
+
+In a round, the cheapest path of every slot by what is known is found, what it meets is priced, what
+is unknown on it is tested, all slots together in flat calls of one collision kernel, and what came
+out is learned. Problems that are through leave, and waiting ones take their slots. The host loop
+decides on a handful of numbers a slot.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.sequences import SequenceTester
+from gnnjax.guide.guide import RISK_WEIGHT
+from gnnjax.planning.guided import JUDGED, Guided
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.pool import Pool, in_chunks, size_for, take
+from gnnjax.planning.progress import Progress
+from gnnjax.planning.shortening import Shortener
+from gnnjax.problems.problem import Problem
+from gnnjax.scene.scene import without_points
+from gnnjax.search.knowledge import Knowledge
+from gnnjax.search.rounds import Route
+
+# Problems whose roadmaps are made or shortened at once; the first for lone queries. No array has
+# room for one alone: a compiler that knows there is one merges other operations, and rounds
+# otherwise.
+_CHUNKS = (2, 16)
+_MOST_ROUNDS = 40  # of a roadmap, at effort 1
+
+
+@dataclasses.dataclass
+class Kept:
+    """What is known of a roadmap whose best path is too unlikely, for later."""
+
+    number: int
+    known: Knowledge
+
+
+class Attempts(Progress):
+    """A batch of P problems, and what attempts on roadmaps have found of them."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        strategy: Guided,
+        options: PlannerOptions,
+        tester: SequenceTester,
+        problems: Problem,
+        seed: int,
+        pool: int,
+        shares: int = 1,
+    ):
+        """Args:
+        robot: the arm.
+        strategy: makes roadmaps and shortcuts, and prices them.
+        options: limits.
+        tester: of the arm.
+        problems: `[P, ...]`, which `check_query` accepts.
+        seed: of the roadmaps.
+        pool: most problems on their way at once.
+        shares: runs that take place side by side.
+        """
+        super().__init__(robot, problems, shares)
+        self.strategy, self.options = strategy, options
+        self.tester, self.seed, self.pool = tester, seed, pool
+        self.chunk = _CHUNKS[pool > 1]
+        self.placed = tester.place(self.problems.scene)
+        self.shortener = Shortener(self, strategy, tester, self.placed, self.chunk)
+        num = len(self.paths)
+        self.straight = np.zeros(num, np.int8)  # status of the straight line
+        self.kept: list[list[Kept]] = [[] for _ in range(num)]
+
+    def attempt(
+        self,
+        ids: np.ndarray,
+        numbers: np.ndarray,
+        max_price: float,
+        known: list[Knowledge] | None = None,
+    ) -> None:
+        """One roadmap for each of some problems, searched in a pool with refills.
+
+        Args:
+            ids: problems, some more than once.
+            numbers: of their roadmaps; none is 0, or all are.
+            max_price: nats; a roadmap whose best path is less likely is kept for later.
+            known: of roadmaps that were kept.
+        """
+        if not len(ids):
+            return
+        most = self.strategy.most_slots(int(numbers[0]))
+        pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock, self.tester, self.placed)
+        slots = _Slots(*np.zeros((3, pool.size), int))
+        waiting = 0
+        while waiting < len(ids) or (pool.ids >= 0).any():
+            free = np.flatnonzero(pool.ids < 0)
+            if waiting < len(ids) and len(free) >= max(1, pool.size // 8):
+                begin = self.clock.now()
+                entering = np.arange(waiting, min(waiting + len(free), len(ids)))
+                rows = free[: len(entering)]
+                for number in np.unique(numbers[entering]):
+                    chosen = numbers[entering] == number
+                    self.enter(pool, rows[chosen], ids, entering[chosen], int(number), known)
+                slots.number[rows], slots.rounds[rows] = numbers[entering], 0
+                slots.first_look[rows] = known is None and self.strategy.shorten
+                waiting += len(entering)
+                self.spend(ids[entering], begin, planning=False)
+            elif waiting == len(ids) and pool.is_wide():
+                left = pool.shrink()
+                slots = _Slots(*(x[left] for x in slots))
+            self._round(pool, slots, max_price)
+
+    def enter(
+        self,
+        pool: Pool,
+        rows: np.ndarray,
+        ids: np.ndarray,
+        entering: np.ndarray,
+        number: int,
+        known: list[Knowledge] | None,
+    ) -> None:
+        """Puts problems into a pool.
+
+        Args:
+            pool: has room for them.
+            rows: the slots.
+            ids: of all problems of the attempt.
+            entering: which of these enter.
+            number: of their roadmaps.
+            known: of roadmaps that were kept, in the order of `ids`.
+        """
+        for part, padded in in_chunks(np.arange(len(entering)), self.chunk):
+            chosen, padded = entering[part], entering[padded]
+            seen = self.problems._replace(scene=without_points(self.problems.scene))
+            problems = jax.tree.map(lambda x, at=ids[padded]: x[at], seen)
+            entered = self.strategy.enter(
+                self.clock,
+                problems,
+                self.straight[ids[padded]],
+                len(chosen),
+                self.seed,
+                number,
+                self.tester.checker,
+            )
+            if known is None:
+                self.sampling_checks[ids[chosen]] += np.asarray(entered.num_checks)[: len(chosen)]
+            priced = entered.priced
+            if known is not None:
+                earlier = [known[i] for i in padded]
+                priced = priced._replace(known=jax.tree.map(lambda *x: np.stack(x), *earlier))
+            pool.enter(rows[part], ids[chosen], priced, entered.reading)
+        jax.block_until_ready(pool.priced)
+
+    def _round(self, pool: Pool, slots: "_Slots", max_price: float) -> None:
+        begin = self.clock.now()
+        live = np.flatnonzero(pool.ids >= 0)
+        route, host = pool.route()
+        slots.rounds[live] += 1
+        np.add.at(self.rounds, pool.ids[live], 1)
+        begin = self.spend(pool.ids[live], begin)
+        live = self._leave(pool, slots, live, host, max_price)
+        unjudged = host.unjudged[live].any(axis=1)
+        if unjudged.any():
+            self.judge(pool, live[unjudged], route, host)
+            begin = self.spend(pool.ids[live[unjudged]], begin)
+            live = live[~unjudged]
+        to_shorten = (slots.first_look[live] > 0) & (host.num[live] > 2)
+        rows, testing = live[to_shorten], live[~to_shorten]
+        if len(rows):
+            slots.first_look[rows] = 0
+            pool.ids[rows[self.shortener.shorten(pool, rows, host)]] = -1
+        if len(testing):
+            self._test(pool, testing, route, host)
+
+    def _leave(
+        self, pool: Pool, slots: "_Slots", live: np.ndarray, host: Route, max_price: float
+    ) -> np.ndarray:
+        """Frees the slots whose roadmaps have no path, or none that is likely enough, or whose
+        problems have no time left.
+
+        Returns:
+            The others.
+        """
+        price = host.edge_price[live].sum(axis=1) / RISK_WEIGHT
+        none = host.num[live] == 0
+        # What is not priced for good is not dear yet.
+        dear = ~none & (price > max_price) & ~host.unjudged[live].any(axis=1)
+        for row in live[dear]:
+            kept = Kept(int(slots.number[row]), pool.known(int(row)))
+            self.kept[pool.ids[row]].append(kept)
+        late = self.total_time[pool.ids[live]] > self.options.time_limit
+        gone = none | dear | late | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
+        pool.ids[live[gone]] = -1
+        return live[~gone]
+
+    def judge(self, pool: Pool, rows: np.ndarray, route: Route, host: Route) -> None:
+        """Has the guide look at the edges of some paths that it has not looked at."""
+        steps = np.full((pool.size, JUDGED), -1)
+        for row in rows:
+            found = np.flatnonzero(host.unjudged[row])[:JUDGED]
+            steps[row, : len(found)] = found
+        price = np.zeros(steps.shape, np.float32)
+        last = host.points.shape[1] - 1
+        for part, padded in in_chunks(rows, self.chunk):
+            at = padded[:, None], np.maximum(steps[padded], 0)
+            starts, ends = host.points[at], host.points[at[0], np.minimum(at[1] + 1, last)]
+            readings = self.clock.call(take, pool.reading, padded)
+            found = self.clock.call(
+                self.strategy.judge,
+                self.strategy.weights,
+                readings,
+                starts,
+                ends,
+                np.int32(len(part)),
+            )
+            price[part] = np.asarray(found)[: len(part)]
+        pool.reprice(route, steps, price)
+
+    def _test(self, pool: Pool, rows: np.ndarray, route: Route, host: Route) -> None:
+        """Tests the paths of some slots; what holds is certified, shortened, and leaves."""
+        begin = self.clock.now()
+        tested = pool.test(host, rows)
+        self.count(pool.ids[rows], tested.outcome)
+        through = rows[~tested.outcome.refuted]
+        through = through[self.certify_routes(pool.ids[through], through, host, tested.edges)]
+        begin = self.spend(pool.ids[rows], begin)
+        longer = through[host.num[through] > 2]
+        if len(longer) and self.strategy.shorten:
+            self.shortener.shorten(pool, longer, host)
+            begin = self.clock.now()
+        pool.ids[through] = -1
+        left = rows[pool.ids[rows] >= 0]
+        if len(left):
+            pool.learn(route, tested.nodes, tested.edges)
+            self.spend(pool.ids[left], begin)
+
+
+class _Slots(NamedTuple):
+    """What the host knows of the slots of a pool."""
+
+    number: np.ndarray  # [S] of the roadmap
+    rounds: np.ndarray  # [S]
+    # [S] 1 until a path was shortened: no path is checked as it is before that has failed.
+    first_look: np.ndarray
