@@ -12,16 +12,18 @@ CLASSICAL = ("ompl:rrt_connect", "ompl:bit_star", "ompl:rrt_star", "ompl:prm")
 # Names that are no planner's own: the planner behind them, and its options.
 # - gnn_paper: the paper's network in the paper's algorithm: one roadmap, no second try.
 # - guided_roadmap: paths as the roadmap has them, not shortened.
+# - guided_dear: told that a check takes a millisecond, so that it asks for as few as it can.
 # - guided_sampled: the same search on the very roadmaps that the other planners search.
 _VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "gnn_paper": ("gnn", {"weights": Path("kuka_iiwa14_paper"), "max_roadmaps": 1}),
     "guided_roadmap": ("guided", {"shorten": False}),
+    "guided_dear": ("guided", {"check_cost": 1000.0}),
     "guided_sampled": ("guided", {"shorten": False, "sampled": True}),
     "guided@0.02": ("guided", {"resolution": 0.02}),
     "ompl:rrt_connect@0.02": ("ompl:rrt_connect", {"resolution": 0.02}),
     "ompl:rrt_connect@simplified": ("ompl:rrt_connect", {"simplify": True}),
 }
-GUIDED = ("guided", "guided_roadmap", "guided_sampled")
+GUIDED = ("guided", "guided_dear", "guided_roadmap", "guided_sampled")
 
 
 def own_case(

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments.statistics import BAND, statistics
+from gnnjax.planning.options import CHEAP
 
 GUIDES = ("guided", "gnn", "gnn_lazy")
 
@@ -24,6 +25,9 @@ class Timed:
     checks: np.ndarray  # [S, P]
     solved: np.ndarray  # [S, P]
     strata: dict[str, np.ndarray]  # [P] which problems belong to "all" and "hard"
+    dear: "Timed | None" = (
+        None  # the same planner, told that checks are dear, where that changes it
+    )
 
 
 def without_overhead(timed: Timed) -> Timed:
@@ -35,10 +39,12 @@ def without_overhead(timed: Timed) -> Timed:
 
 def total_times(timed: Timed, stratum: str, check_s: np.ndarray) -> np.ndarray:
     """Total times `[C, S, P']` in s of a stratum's problems, a configuration check costing
-    `check_s` `[C]`."""
-    chosen = timed.strata[stratum]
-    time, checks = timed.time[:, chosen], timed.checks[:, chosen]
-    return time + check_s[:, None, None] * checks
+    `check_s` `[C]`, which a planner is told."""
+    chosen, price = timed.strata[stratum], check_s[:, None, None]
+    total = timed.time[:, chosen] + price * timed.checks[:, chosen]
+    if timed.dear is None:
+        return total
+    return np.where(price * 1e6 > CHEAP, total_times(timed.dear, stratum, check_s), total)
 
 
 def crossovers(timed: list[Timed]) -> list[dict[str, Any]]:

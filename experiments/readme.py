@@ -9,7 +9,7 @@ from gnnjax.errors import InputError
 # What the README shows of Figure 5, in this order; everything is in docs/results.md.
 SHORT_PLANNERS = (
     *("ompl:rrt_connect", "ompl:rrt_connect@simplified", "ompl:bit_star"),
-    *("prm", "lazysp", "distance", "gnn_paper", "guided"),
+    *("prm", "lazysp", "distance", "gnn_paper", "guided_dear", "guided"),
 )
 SHORT_SIZES = (None, 200, 1000)
 

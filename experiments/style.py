@@ -10,6 +10,7 @@ from experiments.statistics import BAND
 
 COLORS = {
     "guided": "darkblue",
+    "guided_dear": "mediumblue",
     "guided_roadmap": "slateblue",
     "guided_sampled": "turquoise",
     "guided_own": "royalblue",
@@ -33,6 +34,7 @@ COLORS = {
 }
 
 _LABELS = {
+    "guided_dear": "guided, dear checks",
     "guided_roadmap": "guided, not shortened",
     "guided_sampled": "guided, same roadmaps",
     "guided_own": "guided, trained on this arm",

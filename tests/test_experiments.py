@@ -279,6 +279,14 @@ def test_crossovers_are_where_the_lines_cross():
     assert found["ompl:bit_star", True]["saved_s"] == pytest.approx(expected)
 
 
+def test_who_is_told_the_price_of_a_check_is_another_where_it_is_high():
+    dear = timed([5e-3, 5e-3], [10, 20])
+    told = dataclasses.replace(timed([1e-3, 2e-3], [300, 500]), dear=dear)
+    found = total_times(told, "all", np.array([9e-6, 11e-6]))
+    expected = [[1e-3 + 300 * 9e-6, 2e-3 + 500 * 9e-6], [5e-3 + 10 * 11e-6, 5e-3 + 20 * 11e-6]]
+    np.testing.assert_allclose(found[:, 0], expected)
+
+
 def test_faster_names_all_intervals():
     price = np.arange(6.0)
     ours, theirs = np.array([1, 3, 3, 1, 3, 1]), np.full(6, 2)
