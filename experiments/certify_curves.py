@@ -47,6 +47,7 @@ from gnnjax.trajectory.curve import (
     make_curve,
     places,
     size_of,
+    straight_pieces,
 )
 from gnnjax.trajectory.smooth import smooth_paths
 
@@ -116,7 +117,7 @@ def measure_block(arm: Arm, planner: QueryPlanner, seed: tuple[int, ...], step: 
         judge.place(own := shapes[solved[row]])
         found["stops"] += int((blends == 0).sum())
         curve = make_curve(path, blends, size_of(path))
-        for start, end in _straight(path, blends):
+        for start, end in zip(*straight_pieces(path, blends), strict=True):
             found["straight"] += 1
             motion = {"start": start.tolist(), "end": end.tolist(), "shapes": told(own)}
             enter(found, judge.scan(start, end, step), "plain", motion)
@@ -131,15 +132,6 @@ def measure_block(arm: Arm, planner: QueryPlanner, seed: tuple[int, ...], step: 
             _look(judge, corner, "pushed", step, found)
     found["seconds"] = round(time.process_time() - begin, 1)
     return found
-
-
-def _straight(path: np.ndarray, blends: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Ends of the pieces between rounded corners."""
-    lengths, directions = edges_of(path)
-    wide = np.concatenate([[0.0], blends, [0.0]])[:, None]
-    starts, ends = path[:-1] + wide[:-1] * directions, path[1:] - wide[1:] * directions
-    left = lengths - wide[:-1, 0] - wide[1:, 0] > 1e-9
-    return list(zip(starts[left], ends[left], strict=True))
 
 
 def _look(judge: Judge, corner: Corner, kind: str, step: float, found: dict) -> None:

@@ -52,6 +52,7 @@ class PlanConfig(PlannerOptions, MotionOptions):
     video: Path | None = None
     """Where a film of that motion goes, .gif or .mp4 (needs the video extra, and OpenGL: where
     there is no display, MUJOCO_GL=egl)."""
+    clearance: tyro.conf.Suppress[bool] = True  # which is printed
     dt: float = 0.01
     """Of the motion: seconds between the states in its file."""
     seed: int = 0
@@ -115,6 +116,12 @@ def main(config: PlanConfig) -> int:
             print(f"no motion: {motion.reason}")
             return 1
         print(f"motion of {motion.duration:.2f} s, certified free, {motion.stops} stops on its way")
+        assert motion.clearance is not None
+        print(
+            f"its rounded corners take the cost from {motion.cost_before:.3f} to {motion.cost:.3f} "
+            f"rad, and what is proven to be kept from {1e3 * clearance:.0f} to "
+            f"{1e3 * motion.clearance:.0f} mm"
+        )
         if config.trajectory is not None:
             save_trajectory(planner.robot, motion, config.trajectory, config.dt)
             print(f"wrote {config.trajectory}")

@@ -50,7 +50,7 @@ search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.camera problems.families
 problems.family_problem problems.labelled problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
-trajectory.timing trajectory.trajectory trajectory.files
+trajectory.clearance trajectory.timing trajectory.trajectory trajectory.files
 planning.options planning.query planning.progress planning.strategy
 planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
 planning.engine planning.planner

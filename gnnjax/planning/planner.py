@@ -202,9 +202,9 @@ class Planner(abc.ABC):
         plans = self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
         if motion:
             solved = [i for i, plan in enumerate(plans) if plan.success]
-            own = jax.tree.map(lambda x: np.asarray(x)[solved], scenes)
-            paths = [plans[i].path for i in solved]
-            found = find_motions(self.robot, own, paths, motion, proven=True)
+            own = jax.tree.map(lambda x: np.asarray(x)[solved], problems.scene)
+            paths, margin = [plans[i].path for i in solved], self.options.margin
+            found = find_motions(self.robot, own, paths, motion, margin, proven=True)
             for i, each in zip(solved, found, strict=True):
                 plans[i] = plans[i]._replace(trajectory=each)
         return plans

@@ -31,6 +31,9 @@ class MotionOptions:
     blend: float = 1.0
     """Of the motion: how much of an edge a rounded corner takes at most, rad (or m); 0: it stops at
     corners."""
+    clearance: bool = False
+    """Of the motion: find out how far path and curve stay from all obstacles, which takes longer
+    than the motion."""
 
 
 def make_motion_options(**options: Any) -> MotionOptions:

@@ -14,6 +14,7 @@ from gnnjax.clock import Clock
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene, inflated
+from gnnjax.trajectory.clearance import curve_clearance
 from gnnjax.trajectory.curve import Curve, make_curve, places, size_of, stray
 from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
 from gnnjax.trajectory.limits import Limits
@@ -43,6 +44,10 @@ class Trajectory(NamedTuple):
     certified: bool  # the whole curve is proven free of collisions
     cost_before: float  # length of the path, configuration units
     cost: float  # length of the curve
+    clearance_before: (
+        float | None
+    )  # m, that the path provably keeps from all obstacles, up to 0.25;
+    clearance: float | None  # and the curve; both are None where they were not asked for
     stray: float  # how far the curve leaves the path at most, configuration units
     stops: int  # corners that could not be rounded, at which it rests
     time_s: float  # that it took to find, shared equally by a batch; no compilation
@@ -71,7 +76,7 @@ def time_path(
         margin: clearance from obstacles that the curve keeps, m.
         proven: the path is certified already, with that margin, as those of plans are. Then only
             what is rounded is certified, which takes a fraction of the time.
-        options: see `MotionOptions`: velocity, acceleration, torque, blend.
+        options: see `MotionOptions`: velocity, acceleration, torque, blend, clearance.
 
     Raises:
         InputError: no such path or option; limits that are missing or not positive; an arm whose
@@ -90,8 +95,7 @@ def time_paths(
     **options: Any,
 ) -> list[Trajectory]:
     """`time_path` of P paths, in one scene or in P scenes `[P, M, ...]`, one each."""
-    thick = inflated(scene, margin)
-    return find_motions(robot, thick, paths, make_motion_options(**options), proven=proven)
+    return find_motions(robot, scene, paths, make_motion_options(**options), margin, proven=proven)
 
 
 def find_motions(
@@ -99,10 +103,11 @@ def find_motions(
     scene: Scene,
     paths: Sequence[ArrayLike],
     options: MotionOptions,
+    margin: float,
     *,
     proven: bool,
 ) -> list[Trajectory]:
-    """`time_paths` with obstacles that are as large as the margin makes them."""
+    """`time_paths` with its options in one."""
     limits = check_motion_options(robot, options)
     if not paths:
         return []
@@ -113,12 +118,22 @@ def find_motions(
     if limits.torque is not None:
         clock.remembered(check_dynamics, robot)
     checked = [_checked(robot, path) for path in paths]
-    smoothed = smooth_paths(robot, scene, checked, options.blend, proven=proven)
+    thick = inflated(scene, margin)
+    smoothed = smooth_paths(robot, thick, checked, options.blend, proven=proven)
     curves = [make_curve(x.path, x.blends, size_of(x.path)) for x in smoothed]
     timings = _timed(robot, limits, curves, clock)
     found = [
         _trajectory(robot, limits, *each) for each in zip(smoothed, curves, timings, strict=True)
     ]
+    if options.clearance:
+        several = np.ndim(scene.mask) == 2
+        for i, (path, blends, certified) in enumerate(smoothed):
+            own = jax.tree.map(lambda x, i=i: x[i], scene) if several else scene
+            before, after = (
+                curve_clearance(robot, own, path, x) if certified else 0.0
+                for x in (np.zeros_like(blends), blends)
+            )
+            found[i] = found[i]._replace(clearance_before=before, clearance=after)
     each = (clock.now() - begin) / len(found)
     return [motion._replace(time_s=each) for motion in found]
 
@@ -229,6 +244,8 @@ def _trajectory(
         certified=smooth.certified,
         cost_before=before,
         cost=float(np.linalg.norm(np.diff(fine, axis=0), axis=1).sum()),
+        clearance_before=None,
+        clearance=None,
         stray=float(stray(path, smooth.blends).max(initial=0.0)),
         stops=int((smooth.blends == 0).sum()),
         time_s=0.0,
