@@ -147,9 +147,26 @@ def _directions(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return ways / np.linalg.norm(ways, axis=1, keepdims=True)
 
 
-def push(rng: np.random.Generator, arm: Arm, edges: Edges) -> Edges:
-    """Edges with an obstacle each, or its cloud, pushed towards the arm while certificates hold."""
+def push(
+    rng: np.random.Generator,
+    arm: Arm,
+    edges: Edges,
+    proves: Callable[[Scene], np.ndarray] | None = None,
+) -> Edges:
+    """Edges with an obstacle each, or its cloud, pushed towards the arm while certificates hold.
+
+    Args:
+        rng: randomness.
+        arm: whose motions they are.
+        edges: certified ones.
+        proves: which of E motions are certified in E other scenes, `[E]`; by default the edges.
+    """
     robot, scenes, num = arm.robot, edges.scenes, len(edges.starts)
+
+    def are_free(scenes: Scene) -> np.ndarray:
+        return certify_edges(robot, scenes, edges.starts, edges.ends, np.arange(num))
+
+    proves = proves or are_free
     data = mujoco.MjData(robot.mj_model)  # whose world is the base
     moving = robot.geom_ids[robot.geom_bodies >= 0]
     chosen, ways = np.zeros(num, int), np.zeros((num, 3))
@@ -175,10 +192,7 @@ def push(rng: np.random.Generator, arm: Arm, edges: Edges) -> Edges:
         centers[np.arange(num), chosen] += shift
         return scenes._replace(centers=centers)
 
-    def holds(share: np.ndarray) -> np.ndarray:
-        return certify_edges(robot, pushed(share), edges.starts, edges.ends, np.arange(num))
-
-    share = _bisect(num, holds)
+    share = _bisect(num, lambda share: proves(pushed(share)))
     shapes, clouds = [list(own) for own in edges.shapes], list(edges.clouds)
     for i, shift in enumerate((share[:, None] * ways).astype(np.float32).astype(float)):
         pose, own = clouds[i], shapes[i][chosen[i]]

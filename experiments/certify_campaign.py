@@ -25,7 +25,7 @@ from rich.progress import track
 from rich.table import Table
 
 from experiments.campaign_edges import Edges, draw_edges, draw_points, lengthen, push
-from experiments.judge import NEAR, Arm, Judge
+from experiments.judge import NEAR, Arm, Judge, Scan
 from experiments.random_arm import BASE, distorted_arm, random_arm
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import is_self_free
@@ -143,27 +143,37 @@ def _look(judge: Judge, edges: Edges, i: int, kind: str, step: float, found: dic
     """Scans edge i, and adds what comes out to what was found."""
     start, end = edges.starts[i], edges.ends[i]
     judge.place(edges.shapes[i], edges.clouds[i])
-    gap, between, count = judge.scan(start, end, step)
+    seen = judge.scan(start, end, step)
     found["edges"] += 1
-    found["scanned"] += count
+    found["grazing"] += kind != "plain"
+    pose = edges.clouds[i]
+    places = {"start": start.tolist(), "end": end.tolist(), "shapes": told(edges.shapes[i])}
+    enter(found, seen, kind, places | {"cloud": pose and [x.tolist() for x in pose]})
+
+
+def told(shapes: list[Shape]) -> list[dict]:
+    """Obstacles as JSON has them."""
+    return [
+        {"kind": shape.kind, **{k: np.asarray(v).tolist() for k, v in shape.values.items()}}
+        for shape in shapes
+    ]
+
+
+def enter(found: dict, seen: Scan, kind: str, motion: dict) -> None:
+    """Adds what was seen along a motion to what was found: how near what should graze comes, and
+    the motion itself if it is refuted."""
+    gap = seen.gap
+    found["scanned"] += seen.num_configurations
     found["least"] = min(found["least"], gap)
-    if kind != "plain":
-        found["grazing"] += 1
-        found["gaps"] += [round(gap, 9)] if gap < NEAR else []
+    if kind != "plain" and gap < NEAR:
+        found["gaps"].append(round(gap, 9))
     if gap >= 0:
         return
-    noise = _NOISE_OF_HALF_SPACES if "half_space" in str(between) else _NOISE
+    noise = _NOISE_OF_HALF_SPACES if "half_space" in str(seen.between) else _NOISE
     if -gap <= noise:
         found["noise"] += 1
         return
-    shapes = [
-        {"kind": shape.kind, **{k: np.asarray(v).tolist() for k, v in shape.values.items()}}
-        for shape in edges.shapes[i]
-    ]
-    pose = edges.clouds[i]
-    cloud = pose and [x.tolist() for x in pose]
-    places = {"start": start.tolist(), "end": end.tolist(), "shapes": shapes, "cloud": cloud}
-    found["refuted"].append({"kind": kind, "gap": gap, "between": between, **places})
+    found["refuted"].append({"kind": kind, "gap": gap, "between": seen.between, **motion})
 
 
 def summarize(blocks: list[dict]) -> dict:
@@ -204,18 +214,19 @@ def run(config: CampaignConfig) -> dict:
         path = config.runs / f"{name}_{config.seed}_{first}_{num}_{config.step}.json"
         if not path.exists():
             seed = (config.seed, list(arms).index(name), first)
-            _write(path, measure_block(arms[name], seed, num, config.step))
+            write(path, measure_block(arms[name], seed, num, config.step))
         found[name].append(json.loads(path.read_text()))
         if found[name][-1]["refuted"]:
             print(f"refuted: see {path}")
     found["all"] = [block for blocks in found.values() for block in blocks]
     summary = {name: summarize(blocks) for name, blocks in found.items()}
-    _write(config.json, {"settings": settings, "arms": summary})
+    write(config.json, {"settings": settings, "arms": summary})
     _show(summary)
     return summary
 
 
-def _write(path: Path, results: object) -> None:
+def write(path: Path, results: object) -> None:
+    """Writes JSON."""
     atomic_write(path, lambda file: file.write_text(json.dumps(results, indent=1) + "\n") and None)
 
 

@@ -5,7 +5,8 @@ Motions are looked at every `step`, but for stretches in which no contact can be
 finds a gap at least twice as large as what the arm can move there, by a bound of this module's own.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -164,16 +165,32 @@ class Judge:
 
     def scan(self, start: np.ndarray, end: np.ndarray, step: float) -> Scan:
         """Looks at a motion between configurations `[D]`, every `step` wherever it could matter."""
-        model, data, way = self.model, self.data, end - start
-        rates = self._rates @ np.abs(way)  # [G G] m that the gap of two geoms may shrink by
-        fastest, length = float(rates.max(initial=0.0)), float(np.linalg.norm(way))
+        way = end - start
+        return self.scan_curve(
+            lambda share: start + share * way, np.abs(way), float(np.linalg.norm(way)), step
+        )
+
+    def scan_curve(
+        self, at: Callable[[float], np.ndarray], most: np.ndarray, length: float, step: float
+    ) -> Scan:
+        """Looks at a curve likewise.
+
+        Args:
+            at: configuration `[D]` at a share from 0 to 1.
+            most: `[D]` how fast each joint is at most, rad or m for a share of 1.
+            length: how far neighbouring shares are apart at most, configuration units for 1.
+            step: configuration units.
+        """
+        model, data = self.model, self.data
+        rates = self._rates @ most  # [G G] m that the gap of two geoms may shrink by
+        fastest = float(rates.max(initial=0.0))
         pieces = max(1, int(np.ceil(length / _FIRST)))
-        at = np.linspace(0, 1, pieces + 1)
-        stack = [*zip(at[:-1].tolist(), at[1:].tolist(), strict=True), (0.0, 0.0), (1.0, 1.0)]
+        cuts = np.linspace(0, 1, pieces + 1).tolist()
+        stack = [*itertools.pairwise(cuts), (0.0, 0.0), (1.0, 1.0)]
         gap, between, count = np.inf, None, 0
         while stack:
             low, high = stack.pop()
-            data.qpos[self.planned] = start + (low + high) / 2 * way
+            data.qpos[self.planned] = at((low + high) / 2)
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
             count += 1

@@ -12,11 +12,7 @@ Paths are planned with a margin, and timed within the arm's limits of velocity, 
 torque, of which a reserve is left to the controller, along curves that are proven to keep half of
 that margin. A payload is known to timing and controller. A motion is *found* where there is a path,
 *timed* where there is a motion along it, and *suitable* where this is carried out without a
-contact, ends at rest at the goal, and no joint swings.
-
-A joint swings if it turns back three times or more, small movements left out. Out of one place and
-into another it may have to turn back twice: to retreat first, and to go past the goal and come
-back. Whoever turns back once more does again what was done before.
+contact, ends at rest at the goal, and no joint swings (`carried_out.py`).
 """
 
 import dataclasses
@@ -31,23 +27,24 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.carried_out import COUNTS, summarize, told
 from experiments.cases import classical_case, own_case
 from experiments.measure import ExperimentConfig, problem_set
 from experiments.published import REAL_ARM
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
+from experiments.statistics import proportion
 from experiments.style import draw_bars, label
 from experiments.tables import cell, interval, markdown
 from experiments.turns import kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.measure.statistics import describe
 from gnnjax.planning.planner import make_planner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.shapes import sphere
-from gnnjax.trajectory.execution import Execution, execute_trajectories
+from gnnjax.trajectory.execution import execute_trajectories
 from gnnjax.trajectory.limits import limits_of
 from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.trajectory.trajectory import time_paths
@@ -55,8 +52,6 @@ from gnnjax.trajectory.trajectory import time_paths
 OWN, RIVAL, PAPER = "guided", "ompl:rrt_connect@simplified", "gnn_paper"
 PLANNERS = (OWN, RIVAL, PAPER)
 _PAPER_ARM = "kuka_iiwa14"  # which its network was trained on
-_SMALL = 0.05  # rad, of a movement that is none
-_SWINGS = 3  # times that a joint turns back
 _BESIDE = 0.001  # m, radius of the payload: inside of the link that carries it
 
 
@@ -121,8 +116,8 @@ def _rows_of(
     for payload in config.payloads:
         measure = functools.partial(carry_out, config, loaded(arm, payload), problems, plans)
         row = summarize(kept(folder / f"{stem}_{payload:g}.json", measure))
-        told = f"{row['suitable']} of {row['accepted']} motions are suitable"
-        print(f"{folder.name}, {label(planner)}, {payload:g} kg: {told}", flush=True)
+        line = f"{row['suitable']} of {row['accepted']} motions are suitable"
+        print(f"{folder.name}, {label(planner)}, {payload:g} kg: {line}", flush=True)
         yield {"payload": payload} | row
 
 
@@ -175,76 +170,8 @@ def carry_out(
     for i, motion in zip(found.tolist(), motions, strict=True):
         rows[i] |= {"timed": motion.success, "reason": motion.reason}
     for i, execution in zip(found[timed].tolist(), executions, strict=True):
-        rows[i] |= _told(execution)
+        rows[i] |= told(execution)
     return rows
-
-
-def _told(found: Execution) -> dict[str, Any]:
-    """What is kept of an execution."""
-    turns = turnings(found.trace.positions)
-    return {
-        "reason": found.reason,
-        "touched": bool(found.touched),
-        "settled": found.settled,
-        "swings": bool(turns.max() >= _SWINGS),
-        "suitable": bool(found.success and turns.max() < _SWINGS),
-        "proven": found.proven,
-        "turns": int(turns.sum()),
-        "duration": found.duration,
-        "max_error": float(found.max_error.max()),
-        "tip_error": found.tip_error,
-        "stray": found.stray,
-        "torque_use": found.torque_use,
-    }
-
-
-def turnings(positions: np.ndarray, small: float = _SMALL) -> np.ndarray:
-    """How often each joint turns back along positions `[T D]`, `[D]`; movements of less than
-    `small` are none."""
-    counts = np.zeros(positions.shape[1], int)
-    for joint, values in enumerate(positions.T):
-        low = high = values[0]
-        heading = 0
-        for value in values:
-            low, high = min(low, value), max(high, value)
-            back = value < high - small if heading >= 0 else value > low + small
-            if heading == 0 and value > low + small:
-                heading = 1
-            elif back:
-                counts[joint] += heading != 0
-                heading = -1 if heading >= 0 else 1
-            else:
-                continue
-            low = high = value
-    return counts
-
-
-_COUNTS = ("accepted", "found", "timed", "touched", "settled", "swings", "suitable", "proven")
-_MEASURED = ("turns", "duration", "max_error", "tip_error", "stray", "torque_use")
-
-
-def summarize(rows: list[dict[str, Any]]) -> Row:
-    """Counts of problems, the share of accepted ones whose motion is suitable, and what was
-    measured of motions."""
-    counts = {name: sum(bool(row.get(name)) for row in rows) for name in _COUNTS}
-    timed = [row for row in rows if row["timed"]]
-    measured = {
-        name: describe(np.array([row[name] for row in timed])) if timed else None
-        for name in _MEASURED
-    }
-    share = proportion(counts["suitable"], counts["accepted"])
-    return {"num_problems": len(rows), **counts, "suitable_share": share, **measured}
-
-
-def proportion(count: float, of: float) -> Row | None:
-    """A share with its 95 % interval (Wilson)."""
-    if not of:
-        return None
-    mean, z = count / of, 1.959964
-    middle = mean + z**2 / (2 * of)
-    spread = z * np.sqrt(mean * (1 - mean) / of + z**2 / (4 * of**2))
-    low, high = ((middle + side * spread) / (1 + z**2 / of) for side in (-1, 1))
-    return {"mean": mean, "low": float(low), "high": float(high)}
 
 
 def draw(results: Row) -> Figure:
@@ -271,7 +198,7 @@ def _together(rows: list[Row], planner: str, **where: Any) -> dict[str, Any]:
         for row in rows
         if row["planner"] == planner and all(row[key] == value for key, value in where.items())
     ]
-    counts = {name: sum(row[name] for row in own) for name in _COUNTS}
+    counts = {name: sum(row[name] for row in own) for name in COUNTS}
     named = {(row["family"], row["payload"]) for row in own}
     # Payloads share their problems, which are what is drawn at random.
     payloads = max(1, len({payload for _, payload in named}))

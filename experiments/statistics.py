@@ -1,4 +1,5 @@
-"""Summaries over problems and seeds, with 95 % bootstrap intervals over problems."""
+"""Summaries over problems and seeds, with 95 % intervals over problems: bootstrap intervals, and
+those of shares."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -76,6 +77,17 @@ def statistics(values: np.ndarray, counts: np.ndarray) -> dict[str, float] | Non
     low, high = _interval(sums, counts.sum(axis=0))
     found = describe(chosen)
     return {"mean": found["mean"], "low": low, "high": high} | found
+
+
+def proportion(count: float, of: float) -> dict[str, float] | None:
+    """A share with its 95 % interval (Wilson)."""
+    if not of:
+        return None
+    mean, z = count / of, 1.959964
+    middle = mean + z**2 / (2 * of)
+    spread = z * np.sqrt(mean * (1 - mean) / of + z**2 / (4 * of**2))
+    low, high = ((middle + side * spread) / (1 + z**2 / of) for side in (-1, 1))
+    return {"mean": mean, "low": float(low), "high": float(high)}
 
 
 def ratio_of_means(ours: Rows, theirs: Rows, quantity: str) -> dict[str, float] | None:

@@ -62,6 +62,7 @@ from gnnjax.trajectory.execution import (
     execute_trajectory,
 )
 from gnnjax.trajectory.files import load_trajectory, save_trajectory
+from gnnjax.trajectory.options import MotionOptions
 from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.trajectory.trajectory import (
     Setpoints,
@@ -84,6 +85,7 @@ __all__ = [
     "Labels",
     "ModelErrors",
     "MotionNetwork",
+    "MotionOptions",
     "Plan",
     "Planner",
     "PlannerOptions",

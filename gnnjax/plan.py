@@ -2,7 +2,6 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tyro
@@ -17,13 +16,15 @@ from gnnjax.problems.problem import Problem
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.trajectory.files import check_trajectory_file, save_trajectory
-from gnnjax.trajectory.limits import limits_of
-from gnnjax.trajectory.trajectory import check_blend, check_step, sample_trajectory, time_path
+from gnnjax.trajectory.options import MotionOptions, check_motion_options
+from gnnjax.trajectory.trajectory import check_step, sample_trajectory
 from gnnjax.video import check_video, draw_video
+
+_UNTOLD = ("reason", "trajectory")  # of a plan, in the file of its path
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PlanConfig(PlannerOptions):
+class PlanConfig(PlannerOptions, MotionOptions):
     """Plan one query and write its path."""
 
     scene: Path
@@ -51,15 +52,7 @@ class PlanConfig(PlannerOptions):
     video: Path | None = None
     """Where a film of that motion goes, .gif or .mp4 (needs the video extra, and OpenGL: where
     there is no display, MUJOCO_GL=egl)."""
-    velocity: tuple[float, ...] | None = None
-    """Of the motion: limits, one for all joints or one each, rad/s; the model's by default."""
-    acceleration: tuple[float, ...] | None = None
-    """Of the motion: limits likewise, rad/s^2."""
-    torque: tuple[float, ...] | None = None
-    """Of the motion: limits likewise, N m."""
-    blend: float = 1.0
-    """Of the motion: how much of an edge a rounded corner takes at most, rad; 0: it stops at
-    corners."""
+    clearance: tyro.conf.Suppress[bool] = True  # which is printed
     dt: float = 0.01
     """Of the motion: seconds between the states in its file."""
     seed: int = 0
@@ -80,9 +73,8 @@ def main(config: PlanConfig) -> int:
     if config.video is not None:
         check_video(config.video)
     if moves:
-        limits_of(robot, **_limits(config))
+        check_motion_options(robot, config)
         check_step(config.dt)
-        check_blend(config.blend)
     planner = own_planner(robot, config)
     draw = None
     if config.image is not None:
@@ -95,7 +87,7 @@ def main(config: PlanConfig) -> int:
             ) from None
         check_picture(config.image)
     print("compiling (the first run takes up to a minute, later ones seconds) and planning ...")
-    plan = planner.plan(scene, start, goal, seed=config.seed)
+    plan = planner.plan(scene, start, goal, seed=config.seed, trajectory=config if moves else False)
     if not plan.success:
         print(plan.reason)
         return 1
@@ -108,7 +100,7 @@ def main(config: PlanConfig) -> int:
     print(f"proven to keep {1e3 * clearance:.0f} mm from all obstacles, or more")
 
     def write(file: Path) -> None:
-        arrays = {name: getattr(plan, name) for name in plan._fields if name != "reason"}
+        arrays = {name: getattr(plan, name) for name in plan._fields if name not in _UNTOLD}
         arrays |= {"robot": np.array(planner.robot.name), "clearance": np.array(clearance)}
         with open(file, "wb") as stream:
             np.savez_compressed(stream, **arrays)
@@ -118,20 +110,18 @@ def main(config: PlanConfig) -> int:
     if config.image is not None and draw is not None:
         draw(planner.robot, scene, plan.path, config.image)
         print(f"wrote {config.image}")
-    if moves:
-        motion = time_path(
-            planner.robot,
-            scene,
-            plan.path,
-            **_limits(config),
-            blend=config.blend,
-            margin=config.margin,
-            proven=plan.certified,
-        )
+    motion = plan.trajectory
+    if motion is not None:
         if not motion.success:
             print(f"no motion: {motion.reason}")
             return 1
         print(f"motion of {motion.duration:.2f} s, certified free, {motion.stops} stops on its way")
+        assert motion.clearance is not None
+        print(
+            f"its rounded corners take the cost from {motion.cost_before:.3f} to {motion.cost:.3f} "
+            f"rad, and what is proven to be kept from {1e3 * clearance:.0f} to "
+            f"{1e3 * motion.clearance:.0f} mm"
+        )
         if config.trajectory is not None:
             save_trajectory(planner.robot, motion, config.trajectory, config.dt)
             print(f"wrote {config.trajectory}")
@@ -140,11 +130,6 @@ def main(config: PlanConfig) -> int:
             draw_video(planner.robot, scene, shown.times, shown.positions, config.video)
             print(f"wrote {config.video}")
     return 0
-
-
-def _limits(config: PlanConfig) -> dict[str, Any]:
-    """Those of the motion, for `time_path`."""
-    return {name: getattr(config, name) for name in ("velocity", "acceleration", "torque")}
 
 
 def _read(config: PlanConfig, robot: Robot) -> Problem:

@@ -13,8 +13,8 @@ import pytest
 
 from gnnjax import devices
 from gnnjax.arm.robot import load_robot
+from gnnjax.clock import Clock
 from gnnjax.errors import InputError
-from gnnjax.planning.clock import Clock
 from gnnjax.planning.engine import Run
 from gnnjax.planning.options import make_options
 from gnnjax.planning.planner import make_planner

@@ -35,7 +35,7 @@ def test_files_that_the_texts_name_exist():
 
 # Imports go down this list only.
 ORDER = """
-interruption errors files devices
+interruption errors files devices clock
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
 scene.shapes scene.cloud scene.point_files scene.scene scene.allowed scene.surfaces
@@ -49,12 +49,12 @@ guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.camera problems.families
 problems.family_problem problems.labelled problems.moveit
-planning.options planning.query planning.clock planning.progress planning.strategy
+trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
+trajectory.clearance trajectory.timing trajectory.trajectory trajectory.files
+planning.options planning.query planning.progress planning.strategy
 planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.processes
-trajectory.limits trajectory.dynamics trajectory.curve trajectory.smooth trajectory.timing
-trajectory.trajectory trajectory.files trajectory.control trajectory.simulate
-trajectory.execution
+trajectory.control trajectory.simulate trajectory.execution
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl

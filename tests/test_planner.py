@@ -4,6 +4,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import jax
@@ -21,10 +22,15 @@ from gnnjax.plan import main as plan_once
 from gnnjax.planning import planner as planners
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import load_planner
+from gnnjax.problems.problem import Problem
 from gnnjax.scene.holding import attach_from_json
-from gnnjax.scene.scene import make_scene
+from gnnjax.scene.scene import make_scene, stack_scenes
 from gnnjax.scene.scene_file import scene_from_json
 from gnnjax.training.weights import default_weights, load_network
+from gnnjax.trajectory import trajectory as trajectories
+from gnnjax.trajectory.options import MotionOptions
+from gnnjax.trajectory.timing import fastest
+from gnnjax.trajectory.trajectory import find_motions, time_path
 from tests.fine_scan import collides_anywhere, random_scene
 
 
@@ -72,6 +78,54 @@ def test_the_same_seed_gives_the_same_plan(tiny_path):
         for _ in range(2)
     )
     jax.tree.map(np.testing.assert_array_equal, first[:2] + first[2:], again[:2] + again[2:])
+
+
+LIMITS = {"velocity": 1.0, "acceleration": [2.0, 3.0, 4.0]}
+
+
+def test_plans_come_with_their_motions(tiny_path, monkeypatch):
+    def slow(*given):
+        time.sleep(1.5)  # while it is traced
+        return fastest(*given)
+
+    def seeing(*given, **named):
+        seen.append(given[-1])
+        return find_motions(*given, **named)
+
+    seen = []
+    monkeypatch.setattr(trajectories, "fastest", slow)
+    monkeypatch.setattr(planners, "find_motions", seeing)
+    planner = load_planner(tiny_path, "lazysp", num_nodes=60, margin=0.02)
+    scenes = [random_scene(np.random.default_rng(2)), make_scene([[0, 0, 0]], [[0.4, 0.4, 3]])]
+    starts, goals = np.array([[0.5, 1, 0]] * 2, "f4"), np.array([[-2, -1, 1]] * 2, "f4")
+    problems = Problem(starts, goals, stack_scenes(scenes))
+    trajectories._compiled.cache_clear()
+    plans = planner.plan_batch(problems, trajectory=MotionOptions(**LIMITS))
+    trajectories._compiled.cache_clear()
+    assert [plan.success for plan in plans] == [True, False]
+    assert plans[1].trajectory is None
+    found = plans[0].trajectory
+    assert found is not None
+    assert found.success
+    assert found.time_s < 1.5  # without what it took to compile
+    monkeypatch.undo()
+    assert seen == [0.02]  # the margin
+    other = time_path(planner.robot, scenes[0], plans[0].path, margin=0.02, **LIMITS)
+    assert other.duration == found.duration
+    alone = planner.plan(scenes[0], starts[0], goals[0], trajectory=MotionOptions(**LIMITS))
+    assert alone.trajectory is not None
+    assert alone.trajectory.duration == found.duration
+    assert planner.plan(scenes[0], starts[0], goals[0]).trajectory is None
+
+
+def test_limits_of_motions_are_checked_before_planning(tiny_path, monkeypatch):
+    planner = load_planner(tiny_path, "lazysp", num_nodes=60)
+    monkeypatch.setattr(planners.WalkPlanner, "_plan_batch", lambda *_: pytest.fail("planned"))
+    scene = make_scene([], [])
+    with pytest.raises(InputError, match="tiny has no velocity limits; give velocity="):
+        planner.plan(scene, [0.5, 1, 0], [-2, -1, 1], trajectory=True)
+    with pytest.raises(InputError, match="no option 'speed' of a motion; there are"):
+        time_path(planner.robot, scene, [[0, 0, 0]], speed=1.0)
 
 
 @pytest.mark.parametrize(

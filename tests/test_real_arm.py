@@ -8,9 +8,11 @@ import pytest
 from scipy.stats import binomtest
 
 from experiments import real_arm
-from experiments.real_arm import RealArmConfig, carry_out, proportion, summarize, turnings
+from experiments.carried_out import summarize, turnings
+from experiments.real_arm import RealArmConfig, carry_out
 from experiments.record import run
 from experiments.registry import EXPERIMENTS
+from experiments.statistics import proportion
 from gnnjax.arm.robot import load_robot
 from gnnjax.planning.planner import load_planner
 from gnnjax.problems.file import save_problems
@@ -104,6 +106,7 @@ def test_proportions_have_intervals_of_wilson():
     for count, of in ((8, 10), (0, 5), (90, 90)):
         expected = binomtest(count, of).proportion_ci(method="wilson")
         found = proportion(count, of)
+        assert found is not None
         assert found["mean"] == count / of
         assert (found["low"], found["high"]) == pytest.approx(tuple(expected), abs=1e-6)
     assert proportion(0, 0) is None

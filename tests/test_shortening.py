@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
+from gnnjax.clock import Clock
 from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
 from gnnjax.collision.sequences import SequenceTester
 from gnnjax.devices import map_first
-from gnnjax.planning.clock import Clock
 from gnnjax.planning.pool import Pool
 from gnnjax.planning.shortening import PathPool
 from gnnjax.roadmap.graph import GOAL, START

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import clearances, proven_clearance
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
@@ -194,6 +195,23 @@ def test_states_are_those_of_one_smooth_motion(free):
     np.testing.assert_allclose(gone, mean, atol=2e-3)
     faster = np.abs(np.diff(points.velocities, axis=0)[:-1] / steps)
     assert (faster <= limits.acceleration * 1.001).all()
+
+
+def test_the_clearance_of_a_curve_is_that_of_a_scan(free):
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)._asdict()
+    scene = make_scene([[0.7, 0.0, -0.4]], [[0.05] * 3])
+    paths = [
+        [[-1.0, 0, 0], [0.0, 0.2, 0.5], [1.0, 0, 0]],
+        [[-1.0, 0, 0], [0.0, 0.5, 0], [1.0, 0, 0]],
+    ]
+    for path, found in zip(
+        paths, time_paths(free, scene, paths, **limits, clearance=True), strict=True
+    ):
+        q = places(found.curve, np.linspace(0, len(found.curve.grid) - 1, 1000)).q
+        least = min(clearances(free, scene, q).min(), 0.25)
+        assert least - 3e-3 <= found.clearance <= least + 1e-5
+        assert found.clearance_before == proven_clearance(free, scene, path)
+        assert abs(found.clearance - found.clearance_before) > 5e-3
 
 
 @pytest.mark.parametrize("path", [np.zeros((1, 3)), np.zeros((4, 3))])

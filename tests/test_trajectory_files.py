@@ -154,7 +154,15 @@ def test_the_command_writes_a_motion_from_start_to_goal(tiny_path, tmp_path, cap
     points = json.loads(config.trajectory.read_text())["points"]
     ends = [points[0]["positions"], points[-1]["positions"]]
     np.testing.assert_allclose(ends, [config.start, config.goal], atol=1e-9)
-    assert "motion of " in capsys.readouterr().out
+    found = json.loads(config.trajectory.read_text())["gnnjax"]
+    assert set(found) == {"cost_before", "cost", "clearance_before", "clearance"}
+    assert found["cost"] < found["cost_before"]
+    assert 0 < found["clearance"] <= 0.25
+    told = capsys.readouterr().out
+    assert "motion of " in told
+    costs = " to ".join(f"{found[name]:.3f}" for name in ("cost_before", "cost"))
+    kept = " to ".join(f"{1e3 * found[name]:.0f}" for name in ("clearance_before", "clearance"))
+    assert f"the cost from {costs} rad, and what is proven to be kept from {kept} mm" in told
 
 
 def test_the_command_says_why_there_is_no_motion(tiny_path, tmp_path, capsys):

@@ -70,6 +70,25 @@ def test_a_gif_plays_as_fast_as_the_motion(tiny_path, tmp_path, monkeypatch):
     assert [file.name for file in tmp_path.iterdir()] == ["motion.gif"]
 
 
+def test_an_mp4_can_be_read_again(tiny_path, tmp_path, monkeypatch):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the encoder is not installed")
+    monkeypatch.setattr(mujoco, "Renderer", Painter)
+    monkeypatch.setattr(video, "_WIDTH", 64)
+    monkeypatch.setattr(video, "_HEIGHT", 48)
+    file = tmp_path / "motion.mp4"
+    draw_video(load_robot(tiny_path), SCENE, TIMES[:9], MOTION[:9], file)
+    read = [ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(file), "-f", "rawvideo"]
+    done = subprocess.run([*read, "-pix_fmt", "rgb24", "-"], capture_output=True, check=True)
+    assert not done.stderr
+    frames = np.frombuffer(done.stdout, np.uint8).reshape(-1, 48, 64, 3)
+    assert len(frames) == 5 + 10  # those of the motion, and still ones
+    # A geom more in each, which is what their brightness is.
+    bright = frames.mean(axis=(1, 2, 3))
+    assert bright[4] - bright[0] == pytest.approx(4, abs=2)
+    assert np.ptp(bright[4:]) <= 1
+    assert [each.name for each in tmp_path.iterdir()] == ["motion.mp4"]
+
+
 def test_what_cannot_be_filmed_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"has the ending '.avi'; give .gif or .mp4"):
         check_video(tmp_path / "motion.avi")

@@ -45,6 +45,7 @@ def make_row(index: int, plan: Plan | None, invalid: str, hard: bool, checking: 
             **zeros,
         }
     row = {"index": index, "valid": True, "hard": hard, **plan._asdict()}
+    del row["trajectory"]
     row["path"] = plan.path.astype(float).tolist()
     row["cost"] = plan.cost if plan.success else None  # JSON has no infinity
     row["total_time_s"] = plan.total_time_s + checking

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.clock import Clock
 from gnnjax.collision.checker import Checker
 from gnnjax.devices import map_first
 from gnnjax.errors import InputError
 from gnnjax.guide.guide import RISK_WEIGHT, Guide
-from gnnjax.planning.clock import Clock
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius

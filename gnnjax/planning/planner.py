@@ -37,6 +37,8 @@ from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import Scene, inflated, is_axis_aligned
 from gnnjax.search.greedy import Scorer
+from gnnjax.trajectory.options import MotionOptions, check_motion_options
+from gnnjax.trajectory.trajectory import find_motions
 
 # Of `load_planner`: ranks neighbors on one roadmap in one scene.
 MakeScorer = Callable[[Roadmap, Scene], Scorer]
@@ -161,32 +163,59 @@ class Planner(abc.ABC):
         weights = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), weights)
         self.strategy = self.strategy.with_weights(weights)
 
-    def plan(self, scene: Scene, start: ArrayLike, goal: ArrayLike, *, seed: int = 0) -> Plan:
-        """Finds a certified path from start to goal `[D]`.
+    def plan(
+        self,
+        scene: Scene,
+        start: ArrayLike,
+        goal: ArrayLike,
+        *,
+        seed: int = 0,
+        trajectory: bool | MotionOptions = False,
+    ) -> Plan:
+        """Finds a certified path from start to goal `[D]`, and the motion along it if wanted.
+
+        With `trajectory`, `plan.trajectory` is the fastest motion along the path (`time_path`):
+        within the limits of the model, or those given, and with the planner's margin all along the
+        curve. It is None where there is no path, and tells why where there is no motion.
 
         Raises:
-            InputError: start or goal is no valid configuration, or a box stands in the base.
+            InputError: start or goal is no valid configuration, or a box stands in the base; limits
+                of a motion that are missing or not positive.
         """
         begin = time.perf_counter()
         start, goal = check_query(self.robot, scene, start, goal, self.options.margin)
         checking = time.perf_counter() - begin
         problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
-        plan = self.plan_batch(problems, seed=seed)[0]
+        plan = self.plan_batch(problems, seed=seed, trajectory=trajectory)[0]
         # What checking the query took belongs to it.
         return plan._replace(total_time_s=plan.total_time_s + checking)
 
-    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
+    def plan_batch(
+        self, problems: Problem, *, seed: int = 0, trajectory: bool | MotionOptions = False
+    ) -> list[Plan]:
         """Plans P problems at once; every plan is what `plan` finds for its problem.
 
         Times are shared out equally over the problems that were worked on together, and hold no
-        compilation.
+        compilation. Those of a plan end with its path; its motion has one of its own.
 
         Args:
             problems: `[P, ...]`, which `check_query` accepts.
             seed: of the roadmaps; the same for each problem.
+            trajectory: see `plan`.
         """
+        motion = MotionOptions() if trajectory is True else trajectory
+        if motion:  # refused before planning, if at all
+            check_motion_options(self.robot, motion)
         scenes = inflated(problems.scene, self.options.margin)
-        return self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
+        plans = self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
+        if motion:
+            solved = [i for i, plan in enumerate(plans) if plan.success]
+            own = jax.tree.map(lambda x: np.asarray(x)[solved], problems.scene)
+            paths, margin = [plans[i].path for i in solved], self.options.margin
+            found = find_motions(self.robot, own, paths, motion, margin, proven=True)
+            for i, each in zip(solved, found, strict=True):
+                plans[i] = plans[i]._replace(trajectory=each)
+        return plans
 
     def clearance(self, scene: Scene, plan: Plan) -> float:
         """The distance [m] from obstacles that is proven along the whole of a plan's path, up to

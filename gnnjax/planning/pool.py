@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from gnnjax.clock import Clock
 from gnnjax.collision.sequences import Items, Outcome, PlacedScenes, SequenceTester
 from gnnjax.devices import map_first, marked_first
-from gnnjax.planning.clock import Clock
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
 from gnnjax.search.rounds import Priced, Route, cheapest_route, learn, reprice
 

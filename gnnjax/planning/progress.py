@@ -4,9 +4,9 @@ import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.clock import Clock
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.sequences import Outcome
-from gnnjax.planning.clock import Clock
 from gnnjax.planning.query import Plan, make_plan, path_length
 from gnnjax.problems.problem import Problem
 from gnnjax.search.knowledge import INVALID

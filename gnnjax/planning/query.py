@@ -15,6 +15,7 @@ from gnnjax.problems.problem import Problem
 from gnnjax.scene.mujoco_world import deepest_contact, depth_in_base
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
 from gnnjax.scene.units import doubtful_units
+from gnnjax.trajectory.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
 
@@ -37,6 +38,7 @@ class Plan(NamedTuple):
     planning_time_s: float  # from the roadmap to the path
     total_time_s: float  # from the query to the path
     roadmaps: int  # roadmaps sampled; 1 for planners that have none
+    trajectory: Trajectory | None = None  # the motion along the path, where one was asked for
 
 
 @runtime_checkable

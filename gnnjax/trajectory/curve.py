@@ -145,6 +145,19 @@ def places(curve: Curve, at: Float[Array | np.ndarray, " P"]) -> Places:
     )
 
 
+def straight_pieces(path: np.ndarray, blends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ends `[E D]` twice of what is left between blends `[L - 2]` of a path without repetitions;
+    of a single configuration, that twice."""
+    if len(path) == 1:
+        return path, path
+    lengths, directions = edges_of(path)
+    wide = np.concatenate([[0.0], blends, [0.0]])[:, None]
+    starts, ends = path[:-1] + wide[:-1] * directions, path[1:] - wide[1:] * directions
+    # Two blends that meet leave nothing between them but rounding.
+    left = lengths - wide[:-1, 0] - wide[1:, 0] > 1e-12 * lengths.sum()
+    return starts[left], ends[left]
+
+
 def blend_chords(
     path: np.ndarray, corner: np.ndarray, blends: np.ndarray, pieces: int
 ) -> tuple[np.ndarray, np.ndarray]:

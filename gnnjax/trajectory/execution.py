@@ -15,6 +15,7 @@ from gnnjax.collision.certify import certify_edges
 from gnnjax.errors import InputError
 from gnnjax.scene.mujoco_world import obstacles
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
+from gnnjax.trajectory.clearance import largest_margin
 from gnnjax.trajectory.control import control
 from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
 from gnnjax.trajectory.limits import Amounts, limits_of
@@ -266,18 +267,10 @@ def stays_clear(robot: Robot, scene: Scene, q: np.ndarray, margin: float) -> boo
     return bool(certify_edges(robot, larger, q[pieces], q[ends], slack=slack).all())
 
 
-def motion_clearance(robot: Robot, scene: Scene, q: np.ndarray, most: float = 0.25) -> float:
-    """The largest such distance [m], to a millimetre; 0 where not even the curve itself is proven
-    free."""
-    if not stays_clear(robot, scene, q, 0.0):
-        return 0.0
-    if stays_clear(robot, scene, q, most):
-        return most
-    low, high = 0.0, most
-    while high - low > 1e-3:
-        middle = (low + high) / 2
-        low, high = (middle, high) if stays_clear(robot, scene, q, middle) else (low, middle)
-    return low
+def motion_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
+    """The largest such distance [m], to a millimetre, up to 0.25 m; 0 where not even the curve
+    itself is proven free."""
+    return largest_margin(lambda margin: stays_clear(robot, scene, q, margin))
 
 
 def _pair(robot: Robot, scene: Scene, model: mujoco.MjModel, q: np.ndarray) -> tuple[str, ...]:

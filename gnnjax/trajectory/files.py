@@ -4,7 +4,7 @@ import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from gnnjax.trajectory.trajectory import Setpoints, Trajectory, sample_trajector
 
 _NANO = 10**9
 _ROUNDED = 1e-3  # rad or m, of joint limits: people round what they write
+_FOUND = ("cost_before", "cost", "clearance_before", "clearance")  # of a motion, beside its states
 _AGAIN = "write it again with python -m gnnjax.plan --trajectory"
+_Facts: TypeAlias = dict[str, float]
 
 
 def check_trajectory_file(path: str | Path) -> Path:
@@ -35,12 +37,17 @@ def save_trajectory(
 ) -> None:
     """Writes a motion, sampled every `dt` seconds, of the kind that the file's ending says.
 
+    Arrays and messages also tell of costs and clearances, before and after corners were rounded;
+    messages do so under a key of their own, "gnnjax", which ROS does not know.
+
     Raises:
         InputError: see `check_trajectory_file` and `sample_trajectory`.
     """
     path = check_trajectory_file(path)
     points, write = sample_trajectory(robot, trajectory, dt), _form_of(path).write
-    atomic_write(path, lambda file: write(robot, points, file))
+    found = {name: getattr(trajectory, name) for name in _FOUND}
+    facts = {name: value for name, value in found.items() if value is not None}
+    atomic_write(path, lambda file: write(robot, points, facts, file))
 
 
 def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
@@ -108,13 +115,14 @@ class _Read(NamedTuple):
     points: Setpoints
 
 
-def _npz(robot: Robot, points: Setpoints, file: Path) -> None:
+def _npz(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
     with open(file, "wb") as stream:
         np.savez_compressed(
             stream,
             robot=np.array(robot.name),
             joint_names=np.array(robot.joint_names),
             **points._asdict(),
+            **{name: np.array(value) for name, value in facts.items()},
         )
 
 
@@ -124,7 +132,7 @@ def _from_npz(path: Path) -> _Read:
     return _Read(str(arrays["robot"]), arrays["joint_names"].tolist(), points)
 
 
-def _csv(robot: Robot, points: Setpoints, file: Path) -> None:
+def _csv(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
     kinds = points._fields[1:]
     with open(file, "w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
@@ -143,7 +151,7 @@ def _from_csv(path: Path) -> _Read:
     return _Read(None, joints, Setpoints(table[:, 0], *np.split(table[:, 1:], len(kinds), axis=1)))
 
 
-def _json(robot: Robot, points: Setpoints, file: Path) -> None:
+def _json(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
     rows = zip(*(x.tolist() for x in points), strict=True)
     message = {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
@@ -160,6 +168,7 @@ def _json(robot: Robot, points: Setpoints, file: Path) -> None:
             }
             for time, positions, velocities, accelerations, torques in rows
         ],
+        "gnnjax": facts,
     }
     file.write_text(json.dumps(message, indent=1), encoding="utf-8")
 
@@ -177,7 +186,7 @@ def _from_json(path: Path) -> _Read:
 class _Form(NamedTuple):
     """A kind of file."""
 
-    write: Callable[[Robot, Setpoints, Path], None]
+    write: Callable[[Robot, Setpoints, _Facts, Path], None]
     read: Callable[[Path], _Read]
 
 

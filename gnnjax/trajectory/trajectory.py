@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
+from gnnjax.clock import Clock
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene, inflated
+from gnnjax.trajectory.clearance import curve_clearance
 from gnnjax.trajectory.curve import Curve, make_curve, places, size_of, stray
 from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
-from gnnjax.trajectory.limits import Amounts, Limits, limits_of
+from gnnjax.trajectory.limits import Limits
+from gnnjax.trajectory.options import MotionOptions, check_motion_options, make_motion_options
 from gnnjax.trajectory.smooth import Smoothed, smooth_paths
 from gnnjax.trajectory.timing import Timing, fastest
 
@@ -41,8 +44,13 @@ class Trajectory(NamedTuple):
     certified: bool  # the whole curve is proven free of collisions
     cost_before: float  # length of the path, configuration units
     cost: float  # length of the curve
+    clearance_before: (
+        float | None
+    )  # m, that the path provably keeps from all obstacles, up to 0.25;
+    clearance: float | None  # and the curve; both are None where they were not asked for
     stray: float  # how far the curve leaves the path at most, configuration units
     stops: int  # corners that could not be rounded, at which it rests
+    time_s: float  # that it took to find, shared equally by a batch; no compilation
     curve: Curve
     timing: Timing
 
@@ -52,46 +60,29 @@ def time_path(
     scene: Scene,
     path: ArrayLike,
     *,
-    velocity: Amounts | None = None,
-    acceleration: Amounts | None = None,
-    torque: Amounts | None = None,
-    blend: float = 1.0,
     margin: float = 0.0,
     proven: bool = False,
+    **options: Any,
 ) -> Trajectory:
     """The fastest motion along a path whose corners are rounded as far as is certified.
 
-    Compiles for the first path of about its number of corners.
+    Compiles for the first path of about its number of corners. Of a plan, that is what
+    `planner.plan(..., trajectory=True)` does.
 
     Args:
         robot: the arm; what it holds is in its model, with its mass.
         scene: one scene.
         path: `[L, D]` configurations, one or more.
-        velocity: limits, one for all joints or one each, rad/s or m/s; by default the model's.
-        acceleration: limits, rad/s^2 or m/s^2; likewise.
-        torque: limits, N m or N; likewise, and none where the model has none.
-        blend: how much of an edge a rounded corner takes at most, configuration units; 0: the
-            motion stops at every corner.
         margin: clearance from obstacles that the curve keeps, m.
         proven: the path is certified already, with that margin, as those of plans are. Then only
             what is rounded is certified, which takes a fraction of the time.
+        options: see `MotionOptions`: velocity, acceleration, torque, blend, clearance.
 
     Raises:
-        InputError: no such path; limits that are missing or not positive; an arm whose dynamics
-            are not known.
+        InputError: no such path or option; limits that are missing or not positive; an arm whose
+            dynamics are not known.
     """
-    found = time_paths(
-        robot,
-        scene,
-        [path],
-        velocity=velocity,
-        acceleration=acceleration,
-        torque=torque,
-        blend=blend,
-        margin=margin,
-        proven=proven,
-    )
-    return found[0]
+    return time_paths(robot, scene, [path], margin=margin, proven=proven, **options)[0]
 
 
 def time_paths(
@@ -99,29 +90,52 @@ def time_paths(
     scene: Scene,
     paths: Sequence[ArrayLike],
     *,
-    velocity: Amounts | None = None,
-    acceleration: Amounts | None = None,
-    torque: Amounts | None = None,
-    blend: float = 1.0,
     margin: float = 0.0,
     proven: bool = False,
+    **options: Any,
 ) -> list[Trajectory]:
     """`time_path` of P paths, in one scene or in P scenes `[P, M, ...]`, one each."""
-    limits = limits_of(robot, velocity=velocity, acceleration=acceleration, torque=torque)
-    check_blend(blend)
+    return find_motions(robot, scene, paths, make_motion_options(**options), margin, proven=proven)
+
+
+def find_motions(
+    robot: Robot,
+    scene: Scene,
+    paths: Sequence[ArrayLike],
+    options: MotionOptions,
+    margin: float,
+    *,
+    proven: bool,
+) -> list[Trajectory]:
+    """`time_paths` with its options in one."""
+    limits = check_motion_options(robot, options)
     if not paths:
         return []
     if np.ndim(scene.mask) == 2 and len(scene.mask) != len(paths):
         raise InputError(f"{len(paths)} paths in {len(scene.mask)} scenes; give one scene a path")
+    clock = Clock()
+    begin = clock.now()
     if limits.torque is not None:
-        check_dynamics(robot)
+        clock.remembered(check_dynamics, robot)
     checked = [_checked(robot, path) for path in paths]
-    smoothed = smooth_paths(robot, inflated(scene, margin), checked, blend, proven=proven)
+    thick = inflated(scene, margin)
+    smoothed = smooth_paths(robot, thick, checked, options.blend, proven=proven)
     curves = [make_curve(x.path, x.blends, size_of(x.path)) for x in smoothed]
-    timings = _timed(robot, limits, curves)
-    return [
+    timings = _timed(robot, limits, curves, clock)
+    found = [
         _trajectory(robot, limits, *each) for each in zip(smoothed, curves, timings, strict=True)
     ]
+    if options.clearance:
+        several = np.ndim(scene.mask) == 2
+        for i, (path, blends, certified) in enumerate(smoothed):
+            own = jax.tree.map(lambda x, i=i: x[i], scene) if several else scene
+            before, after = (
+                curve_clearance(robot, own, path, x) if certified else 0.0
+                for x in (np.zeros_like(blends), blends)
+            )
+            found[i] = found[i]._replace(clearance_before=before, clearance=after)
+    each = (clock.now() - begin) / len(found)
+    return [motion._replace(time_s=each) for motion in found]
 
 
 def sample_trajectory(robot: Robot, trajectory: Trajectory, dt: float) -> Setpoints:
@@ -161,12 +175,6 @@ def states(robot: Robot, trajectory: Trajectory, times: np.ndarray) -> Setpoints
     return Setpoints(times, positions, velocities, accelerations, torques)
 
 
-def check_blend(blend: float) -> None:
-    """Refuses a length of blends that is none."""
-    if not 0 <= blend < np.inf:
-        raise InputError(f"blend is {blend}; give a length in configuration units, or 0")
-
-
 def check_step(dt: float) -> None:
     """Refuses a time between states that is none, or so short that they fill the memory."""
     if not 1e-5 <= dt < np.inf:
@@ -188,7 +196,7 @@ def _checked(robot: Robot, path: ArrayLike) -> np.ndarray:
     return array
 
 
-def _timed(robot: Robot, limits: Limits, curves: list[Curve]) -> list[Timing]:
+def _timed(robot: Robot, limits: Limits, curves: list[Curve], clock: Clock) -> list[Timing]:
     """The fastest motions along curves, which are of several sizes."""
     cache_compilations()
     alone, together = _compiled(robot)
@@ -196,7 +204,7 @@ def _timed(robot: Robot, limits: Limits, curves: list[Curve]) -> list[Timing]:
     # Single precision loses what cancels where a row hardly depends on u.
     with jax.enable_x64(True):
         if jax.default_backend() == "cpu":  # whose caches hold the rows of one curve
-            found = [alone(limits, curve) for curve in curves]
+            found = [clock.call(alone, limits, curve) for curve in curves]
         else:
             for size in {len(curve.grid) for curve in curves}:
                 rows = [i for i, curve in enumerate(curves) if len(curve.grid) == size]
@@ -204,7 +212,8 @@ def _timed(robot: Robot, limits: Limits, curves: list[Curve]) -> list[Timing]:
                 while padded < len(rows):  # so that few numbers are compiled
                     padded *= 2
                 own = [curves[i] for i in rows + rows[:1] * (padded - len(rows))]
-                timings = together(limits, jax.tree.map(lambda *x: np.stack(x), *own))
+                stacked = jax.tree.map(lambda *x: np.stack(x), *own)
+                timings = clock.call(together, limits, stacked)
                 for number, i in enumerate(rows):
                     found[i] = jax.tree.map(lambda x, n=number: x[n], timings)
     return jax.tree.map(np.asarray, found)
@@ -235,8 +244,11 @@ def _trajectory(
         certified=smooth.certified,
         cost_before=before,
         cost=float(np.linalg.norm(np.diff(fine, axis=0), axis=1).sum()),
+        clearance_before=None,
+        clearance=None,
         stray=float(stray(path, smooth.blends).max(initial=0.0)),
         stops=int((smooth.blends == 0).sum()),
+        time_s=0.0,
         curve=curve,
         timing=timing,
     )

@@ -1,0 +1,56 @@
+"""How far rounded paths stay from obstacles, proven all along."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.collision.certify import certify_edges
+from gnnjax.scene.scene import Scene, inflated
+from gnnjax.trajectory.curve import blend_chords, straight_pieces
+
+_CHORDS = 16  # of a blend, even: what curves stray from these is a millimetre at most, an arm's
+# length away
+_MILLIMETER = 1e-3  # m; how finely distances are looked for
+MOST = 0.25  # m, beyond which none is looked for
+
+
+def curve_clearance(robot: Robot, scene: Scene, path: np.ndarray, blends: np.ndarray) -> float:
+    """The distance [m] from all obstacles that is proven along a rounded path.
+
+    Args:
+        robot: the arm.
+        scene: one scene.
+        path: `[L D]` without repetitions.
+        blends: `[L - 2]`, of its corners; 0: not rounded.
+    """
+    starts, ends = straight_pieces(path, blends)
+    slack = np.zeros_like(starts)
+    wide = np.flatnonzero(blends)
+    if len(wide):
+        points, stray = blend_chords(path, wide + 1, blends[wide], _CHORDS)
+        rows = (points[:, :-1], points[:, 1:], stray)
+        flat = (x.reshape(-1, path.shape[1]) for x in rows)
+        starts, ends, slack = (
+            np.concatenate(both) for both in zip((starts, ends, slack), flat, strict=True)
+        )
+
+    def proves(margin: float) -> bool:
+        thick = inflated(scene, margin)
+        return bool(certify_edges(robot, thick, starts, ends, slack=slack).all())
+
+    return largest_margin(proves)
+
+
+def largest_margin(proves: Callable[[float], bool], most: float = MOST) -> float:
+    """The largest distance [m] up to `most` for which something is proven, to a millimetre; 0 where
+    it is not even for that."""
+    if not proves(0.0):
+        return 0.0
+    if proves(most):
+        return most
+    low, high = 0.0, most
+    while high - low > _MILLIMETER:
+        middle = (low + high) / 2
+        low, high = (middle, high) if proves(middle) else (low, middle)
+    return low

@@ -1,0 +1,65 @@
+"""How motions are timed, once: for `planner.plan`, `time_path` and the command."""
+
+import dataclasses
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError
+from gnnjax.trajectory.limits import Amounts, Limits, limits_of
+
+# What Python takes in any form is a list of numbers on a command line.
+_Given = Annotated[
+    Amounts | None,
+    tyro.conf.arg(constructor=tuple[float, ...] | None, help_behavior_hint="(default: None)"),
+]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MotionOptions:
+    """How fast a motion may be, and how it goes around corners."""
+
+    velocity: _Given = None
+    """Of the motion: limits, one for all joints or one each, rad/s (or m/s); the model's by
+    default."""
+    acceleration: _Given = None
+    """Of the motion: limits likewise, rad/s^2 (or m/s^2)."""
+    torque: _Given = None
+    """Of the motion: limits likewise, N m (or N); none where the model has none either."""
+    blend: float = 1.0
+    """Of the motion: how much of an edge a rounded corner takes at most, rad (or m); 0: it stops at
+    corners."""
+    clearance: bool = False
+    """Of the motion: find out how far path and curve stay from all obstacles, which takes longer
+    than the motion."""
+
+
+def make_motion_options(**options: Any) -> MotionOptions:
+    """Options by name.
+
+    Raises:
+        InputError: a name that is no option.
+    """
+    known = [field.name for field in dataclasses.fields(MotionOptions)]
+    unknown = sorted(options.keys() - set(known))
+    if unknown:
+        raise InputError(f"no option {unknown[0]!r} of a motion; there are {known}")
+    return MotionOptions(**options)
+
+
+def check_motion_options(robot: Robot, options: MotionOptions) -> Limits:
+    """The limits of an arm's motions, or what is wrong with the options.
+
+    Raises:
+        InputError: limits that are missing or not positive, or a blend that is no length.
+    """
+    if not 0 <= options.blend < np.inf:
+        raise InputError(f"blend is {options.blend}; give a length in configuration units, or 0")
+    return limits_of(
+        robot,
+        velocity=options.velocity,
+        acceleration=options.acceleration,
+        torque=options.torque,
+    )
