@@ -24,6 +24,7 @@ from gnnjax.planning.planner import Planner, make_planner
 from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene
+from gnnjax.trajectory.options import MotionOptions
 
 LEAST_SHARE = 8  # problems; fewer are not worth another process
 
@@ -76,7 +77,9 @@ class PlannerProcesses:
         """Of the roadmaps, configuration units."""
         return self._planner.radius
 
-    def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
+    def plan_batch(
+        self, problems: Problem, *, seed: int = 0, trajectory: bool | MotionOptions = False
+    ) -> list[Plan]:
         """See `Planner.plan_batch`; times are shared out over the processes, too.
 
         Raises:
@@ -88,7 +91,7 @@ class PlannerProcesses:
         weights = jax.tree.map(np.asarray, self._planner.strategy.weights)
         shares = [np.arange(i, num, count) for i in range(count)]
         parts = [jax.tree.map(lambda x, at=at: x[at], problems) for at in shares]
-        found = self._call([("plan_batch", (weights, part, seed)) for part in parts])
+        found = self._call([("plan_batch", (weights, part, seed, trajectory)) for part in parts])
         plans: list[Any] = [None] * num
         for share, some in zip(shares, found, strict=True):
             for number, plan in zip(share, some, strict=True):
@@ -208,9 +211,11 @@ def work() -> None:
     planner = make_planner(robot, options, **given)
     assert isinstance(planner, Planner)
 
-    def plan_batch(weights: Any, problems: Problem, seed: int) -> list[Plan]:
+    def plan_batch(
+        weights: Any, problems: Problem, seed: int, trajectory: bool | MotionOptions
+    ) -> list[Plan]:
         planner.use_weights(weights)
-        return planner.plan_batch(problems, seed=seed)
+        return planner.plan_batch(problems, seed=seed, trajectory=trajectory)
 
     functions: dict[str, Callable[..., Any]] = {
         "plan_batch": plan_batch,
