@@ -31,6 +31,7 @@ from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.cloud import Balls, Cloud, point_cloud
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.moveit import scene_from_moveit
+from gnnjax.scene.own_points import without_robot
 from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import (
     Allowed,
@@ -156,4 +157,5 @@ __all__ = [
     "stored_roadmap",
     "time_path",
     "time_paths",
+    "without_robot",
 ]
