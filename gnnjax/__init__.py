@@ -31,6 +31,7 @@ from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.cloud import Balls, Cloud, point_cloud
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.moveit import scene_from_moveit
+from gnnjax.scene.octomap import octomap, scene_from_octomap
 from gnnjax.scene.own_points import without_robot
 from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import (
@@ -131,6 +132,7 @@ __all__ = [
     "make_scene",
     "mesh",
     "motion_guide",
+    "octomap",
     "pad_scene",
     "point_cloud",
     "points_from_file",
@@ -149,6 +151,7 @@ __all__ = [
     "scene_from_mesh",
     "scene_from_mjcf",
     "scene_from_moveit",
+    "scene_from_octomap",
     "scene_from_points",
     "scene_from_shapes",
     "scene_to_json",

@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gnnjax.errors import InputError, brief
+from gnnjax.scene.cloud import Balls
 from gnnjax.scene.messages import components, fields_of, list_of, numbers, pose_of, read_message
+from gnnjax.scene.octomap import voxels
 from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved, moved_points
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import Shape, box, cylinder, half_space, sphere
@@ -49,20 +51,22 @@ class PlanningScene(NamedTuple):
 
     shapes: list[Shape]
     surfaces: list[Surface]
+    voxels: list[Balls]  # of its octomap
     base: Pose | None  # of the robot's root link there; None where the file does not say
 
 
 def scene_from_moveit(path: str | Path) -> Scene:
     """Reads a planning scene of MoveIt (moveit_msgs/PlanningScene) from YAML.
 
-    Boxes, spheres, cylinders, planes and meshes of the collision objects are read; of a plane, all
-    that lies beyond it from the base is taken, and meshes are enclosed as by `mesh`. Objects are in
+    Boxes, spheres, cylinders, planes and meshes of the collision objects are read, and the octomap;
+    of a plane, all that lies beyond it from the base is taken, and meshes and occupied voxels are
+    enclosed as by `mesh` and `octomap`. Objects are in
     the planning frame, or in a frame that `fixed_frame_transforms` names. Where the robot state
     places the robot by a joint of several degrees of freedom, its root link is the base that the
     scene is seen from; else the planning frame is.
 
     Raises:
-        InputError: the file is missing or no YAML; it holds cones, voxels or objects that are
+        InputError: the file is missing or no YAML; it holds cones, or objects that are
             attached to the robot; or something in it is not as the message demands.
     """
     return scene_of(read_planning_scene(path), f"planning scene {str(path)!r}")
@@ -76,6 +80,7 @@ def scene_of(found: PlanningScene, called: str) -> Scene:
         enclosed(moved_points(vertices, to_base), faces, source=source)
         for vertices, faces, source in found.surfaces
     ]
+    clouds += [x._replace(points=moved_points(x.points, to_base)) for x in found.voxels]
     return scene_from_shapes(shapes, clouds=clouds, source=called)
 
 
@@ -104,25 +109,40 @@ def read_planning_scene(path: str | Path) -> PlanningScene:
     if message.get("world") is None:
         raise InputError(f"{called} has no world; give what stands there, or collision_objects: []")
     world = fields_of(message.get("world"), ("collision_objects", "octomap"), f"world of {called}")
-    if _has_voxels(world.get("octomap"), called):
-        raise InputError(
-            f"{called} holds an octomap, whose voxels are not read; enclose what they show in "
-            "boxes, and remove it"
-        )
     objects = list_of(world, "collision_objects", called)
-    frames = _frames(message, objects, called)
+    frames = _frames(message, [*objects, world.get("octomap")], called)
     state = message.get("robot_state")
     things = [thing for value in objects for thing in _object(value, frames, called)]
     shapes = [thing for thing in things if isinstance(thing, Shape)]
     surfaces = [thing for thing in things if isinstance(thing, Surface)]
-    return PlanningScene(shapes, surfaces, base_of(state, frames, called))
+    found = _voxels(world.get("octomap"), frames, f"octomap of {called}")
+    return PlanningScene(shapes, surfaces, found, base_of(state, frames, called))
 
 
-def _has_voxels(value: Any, called: str) -> bool:
-    """Whether an octomap (octomap_msgs/OctomapWithPose) holds data."""
-    outer = fields_of(value, ("header", "origin", "octomap"), f"octomap of {called}")
+def _voxels(value: Any, frames: dict[str, Pose], called: str) -> list[Balls]:
+    """What is occupied in an octomap (octomap_msgs/OctomapWithPose), in the planning frame."""
+    outer = fields_of(value, ("header", "origin", "octomap"), called)
     known = "header binary id resolution data".split()
-    return bool(fields_of(outer.get("octomap"), known, f"octomap of {called}").get("data"))
+    fields = fields_of(outer.get("octomap"), known, called)
+    if not fields.get("data"):
+        return []
+    given = fields["data"]
+    if not isinstance(given, bytes):
+        whole = numbers(given, None, f"data of {called}")
+        # Of bytes, some writers see the sign and others do not.
+        if not np.isin(whole, np.arange(-128, 256)).all():
+            raise InputError(f"data of {called} = {brief(given)}; give bytes, -128 to 255")
+        given = whole.astype(np.int16).astype(np.uint8).tobytes()
+    binary = fields.get("binary")
+    if not isinstance(binary, bool):
+        raise InputError(f"{called} has binary = {brief(binary)}; give true or false")
+    balls = voxels(given, binary, str(fields.get("id")), fields.get("resolution"), called)
+    pose = _placed_in(outer, frames, called)
+    if outer.get("origin") is not None:
+        origin = pose_of(outer["origin"], f"origin of {called}", may_be_unset=True)
+        pose = compose(pose, origin)
+    found = balls._replace(points=moved_points(balls.points, pose))
+    return [found] if len(found.points) else []
 
 
 def _frames(message: dict, objects: list, called: str) -> dict[str, Pose]:

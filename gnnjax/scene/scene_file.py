@@ -12,6 +12,7 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
 from gnnjax.scene.allowed import allow_contacts, refuse_allowed
 from gnnjax.scene.cloud import Balls, point_cloud
+from gnnjax.scene.octomap import octomap
 from gnnjax.scene.own_points import MARGIN, without_robot
 from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import Scene, box_bucket, scene_from_shapes
@@ -43,6 +44,7 @@ _CLOUDS = {
     "clouds": (("points",), ("radius", "voxel", "without_robot_at", "margin")),
     "meshes": (("file",), ("center", "quat", "scale", "voxel", "solid")),
     "height_fields": (("heights", "size"), ("center", "quat", "depth", "voxel")),
+    "octomaps": (("file",), ("center", "quat")),
 }
 
 
@@ -55,9 +57,9 @@ def scene_from_json(path: str | Path, robot: Robot | None = None) -> Scene:
 
     And there may be `clouds` (`points`: a list, or a file of `points_from_file`; `radius` and
     `voxel`, see `point_cloud`; `without_robot_at`, a configuration, and `margin`, see
-    `without_robot`), `meshes` (`file` and what else `mesh` takes) and `height_fields`
-    (`heights`: a list of rows, or a .npy file; and what else `height_field` takes). Names of files
-    are relative to the folder of the JSON.
+    `without_robot`), `meshes` (`file` and what else `mesh` takes), `height_fields` (`heights`: a
+    list of rows, or a .npy file; and what else `height_field` takes) and `octomaps` (`file`,
+    `center`, `quat`). Names of files are relative to the folder of the JSON.
 
     And `allow`, a list of contacts that are meant: `["hand", "cylinder 0"]`, see `allow_contacts`.
 
@@ -175,15 +177,15 @@ def _read_cloud(
         if not isinstance(given[key], list):
             raise InputError(f"{called} has {key} = {brief(given[key])}; give a list of numbers")
     first = given.pop(needed[0])
-    if not isinstance(first, str) and (name == "meshes" or not isinstance(first, list)):
-        either = "" if name == "meshes" else ", or a list"
+    if not isinstance(first, str) and (needed[0] == "file" or not isinstance(first, list)):
+        either = "" if needed[0] == "file" else ", or a list"
         raise InputError(
             f"{called} has {needed[0]} = {brief(first)}; give the name of a file{either}"
         )
     if isinstance(first, str):
         file = folder / first
-        if name == "meshes":
-            return mesh(file, **given)
+        if needed[0] == "file":
+            return (mesh if name == "meshes" else octomap)(file, **given)
         first = points_from_file(file) if name == "clouds" else _numbers_of(file, called)
     if name == "clouds":
         if given.keys() & {"without_robot_at", "margin"}:
