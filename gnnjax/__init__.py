@@ -20,7 +20,7 @@ from gnnjax.planning.strategy import Strategy
 from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.labelled import Labels, label_roadmap
-from gnnjax.problems.moveit import problem_from_moveit
+from gnnjax.problems.moveit import MoveItQuery, problem_from_moveit, query_from_moveit
 from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
 from gnnjax.problems.shards import load_problems
 from gnnjax.roadmap.graph import Roadmap, connect, default_radius
@@ -85,6 +85,7 @@ __all__ = [
     "Labels",
     "ModelErrors",
     "MotionNetwork",
+    "MoveItQuery",
     "Plan",
     "Planner",
     "PlannerOptions",
@@ -137,6 +138,7 @@ __all__ = [
     "point_cloud",
     "points_from_file",
     "problem_from_moveit",
+    "query_from_moveit",
     "sample_family_problem",
     "sample_free",
     "sample_problem",

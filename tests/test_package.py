@@ -41,7 +41,8 @@ arm.contacts arm.robot arm.kinematics
 scene.shapes scene.cloud scene.own_points scene.point_files scene.scene scene.allowed
 scene.surfaces scene.octomap scene.units scene.scene_file scene.geometry scene.field
 scene.mujoco_world
-scene.pose scene.held scene.holding scene.messages scene.moveit scene.from_mjcf scene.any_file
+scene.pose scene.held scene.holding scene.messages scene.collision_objects
+scene.moveit scene.from_mjcf scene.any_file
 collision.spheres collision.simplex collision.convex collision.exact collision.components
 collision.fused collision.mjx collision.cloud collision.checker collision.sequences
 collision.obstacles collision.hulls collision.bounds collision.gaps collision.certify
