@@ -49,7 +49,8 @@ collision.obstacles collision.hulls collision.bounds collision.gaps collision.ce
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten
-problems.problem problems.file problems.shards problems.camera problems.families
+problems.problem problems.file problems.shards problems.camera
+problems.structures problems.shelves problems.furniture problems.clutter problems.families
 problems.family_problem problems.labelled problems.moveit
 planning.options planning.query planning.clock planning.progress planning.strategy
 planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
