@@ -21,7 +21,7 @@ from gnnjax.planning.strategy import Strategy
 from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.labelled import Labels, label_roadmap
-from gnnjax.problems.moveit import problem_from_moveit
+from gnnjax.problems.moveit import MoveItQuery, problem_from_moveit, query_from_moveit
 from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
 from gnnjax.problems.shards import load_problems
 from gnnjax.roadmap.graph import Roadmap, connect, default_radius
@@ -32,6 +32,8 @@ from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.cloud import Balls, Cloud, point_cloud
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.moveit import scene_from_moveit
+from gnnjax.scene.octomap import octomap, scene_from_octomap
+from gnnjax.scene.own_points import without_robot
 from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import (
     Allowed,
@@ -86,6 +88,7 @@ __all__ = [
     "ModelErrors",
     "MotionNetwork",
     "MotionOptions",
+    "MoveItQuery",
     "Plan",
     "Planner",
     "PlannerOptions",
@@ -134,10 +137,12 @@ __all__ = [
     "make_scene",
     "mesh",
     "motion_guide",
+    "octomap",
     "pad_scene",
     "point_cloud",
     "points_from_file",
     "problem_from_moveit",
+    "query_from_moveit",
     "sample_family_problem",
     "sample_free",
     "sample_problem",
@@ -152,6 +157,7 @@ __all__ = [
     "scene_from_mesh",
     "scene_from_mjcf",
     "scene_from_moveit",
+    "scene_from_octomap",
     "scene_from_points",
     "scene_from_shapes",
     "scene_to_json",
@@ -160,4 +166,5 @@ __all__ = [
     "stored_roadmap",
     "time_path",
     "time_paths",
+    "without_robot",
 ]

@@ -3,17 +3,18 @@
 import copy
 import logging
 
+import jax
 import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from gnnjax import load_robot, problem_from_moveit, scene_from_moveit
+from gnnjax import load_robot, problem_from_moveit, query_from_moveit, scene_from_moveit
 from gnnjax.errors import InputError
 from gnnjax.problems import moveit
 from gnnjax.scene.messages import read_message
 from gnnjax.scene.scene import Scene
-from gnnjax.scene.shapes import KINDS, kind_of
+from gnnjax.scene.shapes import KINDS, cylinder, kind_of
 
 TURN = [0.0, 0.0, 0.6, 0.8]  # x y z w
 
@@ -274,7 +275,8 @@ def test_meshes_are_enclosed_where_they_stand(tmp_path, message):
         (put(*FIRST, "header", {"frame_id": "hand"}), r"frame 'hand', and there are \['', 'world'"),
         (put(*FIRST, "hulls", [1]), r"a collision object .* has \['hulls'\]"),
         (put(*FIRST, "a string"), "a collision object of .* is 'a string'"),
-        (put("world", "octomap", {"octomap": {"data": [0, 1]}}), "holds an octomap"),
+        (put("world", "octomap", {"octomap": {"data": [0, 1]}}), "has binary = None; give true"),
+        (put("world", "octomap", {"octomap": {"data": [0, 300]}}), "give bytes, -128 to 255"),
         (put("world", "collision_objects", 3), "collision_objects = 3; give a list"),
         (put("world", "voxels", 3), r"world of .* has \['voxels'\]"),
         (put("world", dict.pop), "has no world; give what stands there"),
@@ -282,7 +284,10 @@ def test_meshes_are_enclosed_where_they_stand(tmp_path, message):
         (put("is_diff", True), "is a difference to another"),
         (put("link_padding", [{"link_name": "hand", "padding": 0.01}]), "link_padding 0.01"),
         (put("link_scale", [{"link_name": "hand", "scale": 1.0}]), None),
-        (put("robot_state", "attached_collision_objects", [{}]), "attached to the robot"),
+        (
+            put("robot_state", "attached_collision_objects", [{}]),
+            "object attached to '' in .* frame",
+        ),
         (
             put("robot_state", "multi_dof_joint_state", "joint_names", ["a", "b"]),
             r"1 transforms for the joints \['a', 'b'\]",
@@ -446,7 +451,6 @@ GOAL = ("goal_constraints", 0)
         (put("start_state", "joint_state", dict.pop), "start_state of .* lacks a, b, c"),
         (put("start_state", "joint_state", "position", [1.0]), "has 1 positions for the joints"),
         (put("start_state", "joint_state", "name", ["a", "a", "b", "c"]), "4 positions for"),
-        (put("start_state", "attached_collision_objects", [{}]), "attached to the robot"),
         (
             put("start_state", "multi_dof_joint_state", "transforms", 0, "translation", [0, 0, 1]),
             r"has the robot at \[0.0, 0.0, 1.0\] .* place it once",
@@ -476,3 +480,101 @@ def test_a_base_that_only_the_request_places_counts(tmp_path, tiny_path, message
     place["translation"] = [0, 0, 1]
     there = problem_of(tmp_path, robot, placed, message).scene
     np.testing.assert_allclose(there.centers[:3], here.centers[:3] - [0, 0, 1], atol=1e-6)
+
+
+def attached(**changes):
+    """A moveit_msgs/AttachedCollisionObject, which MoveIt gives in the frame of its link."""
+    pose = {"position": [0.3, 0, 0.02], "orientation": TURN}
+    thing = {
+        "id": "bottle",
+        "header": {"frame_id": "arm_lower"},
+        "pose": {"position": [0.01, 0, 0], "orientation": [0, 0, 0, 1]},
+        "primitives": [{"type": "cylinder", "dimensions": [0.2, 0.03]}],
+        "primitive_poses": [pose],
+    }
+    held = {
+        "link_name": "arm_lower",
+        "object": thing,
+        "touch_links": ["arm_middle", "arm_lower", "arm_finger"],
+        "detach_posture": {"joint_names": [], "points": []},
+        "weight": 0.5,
+    }
+    return {**held, **changes}
+
+
+def query_of(folder, robot, request, scene):
+    scene, request = written(folder, scene), written(folder, request, "request.yaml")
+    return query_from_moveit(scene, request, robot)
+
+
+@pytest.mark.parametrize("where", ["scene", "request"])
+def test_what_is_attached_is_held(tmp_path, tiny_path, message, request_message, where, caplog):
+    robot = load_robot(tiny_path)
+    state = message["robot_state"] if where == "scene" else request_message["start_state"]
+    state["attached_collision_objects"] = [attached()]
+    found = query_of(tmp_path, robot, request_message, message)
+    bottle = cylinder([0.31, 0, 0.02], radius=0.03, half_length=0.1, quat=[0.8, 0, 0, 0.6])
+    wanted = robot.attach("lower", [bottle], mass=0.5, allow=["middle", "lower"])
+    for mine, theirs in zip(found.robot.parts, wanted.parts, strict=True):
+        np.testing.assert_allclose(mine.vertices, theirs.vertices, atol=1e-9)
+    assert found.robot.mj_model.body_mass.sum() == pytest.approx(wanted.mj_model.body_mass.sum())
+    np.testing.assert_array_equal(found.robot.part_pairs, wanted.part_pairs)
+    assert [
+        r.message for r in caplog.records if "let arm_finger be touched, which tiny" in r.message
+    ]
+    for mine, theirs in zip(found.problem, problem_of(tmp_path, robot, REQUEST), strict=True):
+        jax.tree.map(np.testing.assert_array_equal, mine, theirs)
+    with pytest.raises(InputError, match="attached to the robot; query_from_moveit gives the arm"):
+        problem_of(tmp_path, robot, request_message, message)
+    if where == "scene":
+        with pytest.raises(InputError, match="attached to the robot; query_from_moveit"):
+            read(tmp_path, message)
+
+
+def test_an_arm_to_which_nothing_is_attached_is_as_it_was(tmp_path, tiny_path):
+    robot = load_robot(tiny_path)
+    assert query_of(tmp_path, robot, REQUEST, SCENE).robot is robot
+
+
+MESH = {"vertices": [], "triangles": []}
+THING = attached()["object"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        (
+            {"link_name": "arm_wing"},
+            "attached to 'arm_wing' in .* in the frame 'arm_lower'; give it",
+        ),
+        ({"object": {**THING, "header": {}}}, "is in the frame ''; give it in that of its link"),
+        (
+            {"object": {**THING, "meshes": [MESH], "mesh_poses": [POSE]}},
+            "a mesh or a plane, which no",
+        ),
+        (
+            {"object": {**THING, "planes": [{"coef": [0, 0, 1, 0]}], "plane_poses": [POSE]}},
+            "a plane",
+        ),
+        ({"object": {"header": {"frame_id": "arm_lower"}}}, "no primitives, planes or meshes"),
+        ({"weight": -1}, "weight of object attached to 'arm_lower' .* is -1; it must not"),
+        ({"weight": "much"}, "weight of .* finite"),
+        ({"touch_links": "hand"}, "touch_links = 'hand'; give a list"),
+        ({"weigth": 1}, r"has \['weigth'\]"),
+        (
+            {"link_name": "wing", "object": {**THING, "header": {"frame_id": "wing"}}},
+            r"attached to 'wing' .* tiny has no such body, but \['upper', 'middle', 'lower'\]",
+        ),
+    ],
+)
+def test_what_cannot_be_held_is_refused_in_a_sentence(tmp_path, tiny_path, message, changes, fault):
+    message["robot_state"]["attached_collision_objects"] = [attached(**changes)]
+    with pytest.raises(InputError, match=fault):
+        query_of(tmp_path, load_robot(tiny_path), REQUEST, message)
+
+
+def test_objects_attached_in_both_files_are_refused(tmp_path, tiny_path, message, request_message):
+    for state in (message["robot_state"], request_message["start_state"]):
+        state["attached_collision_objects"] = [attached()]
+    with pytest.raises(InputError, match="both have objects attached to the robot; keep those of"):
+        query_of(tmp_path, load_robot(tiny_path), request_message, message)

@@ -38,16 +38,19 @@ ORDER = """
 interruption errors files devices clock
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
-scene.shapes scene.cloud scene.point_files scene.scene scene.allowed scene.surfaces
-scene.units scene.scene_file scene.geometry scene.field scene.mujoco_world
-scene.pose scene.held scene.holding scene.messages scene.moveit scene.from_mjcf scene.any_file
+scene.shapes scene.cloud scene.own_points scene.point_files scene.scene scene.allowed
+scene.surfaces scene.octomap scene.units scene.scene_file scene.geometry scene.field
+scene.mujoco_world
+scene.pose scene.held scene.holding scene.messages scene.collision_objects
+scene.moveit scene.from_mjcf scene.any_file
 collision.spheres collision.simplex collision.convex collision.exact collision.components
 collision.fused collision.mjx collision.cloud collision.checker collision.sequences
 collision.obstacles collision.hulls collision.bounds collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten
-problems.problem problems.file problems.shards problems.camera problems.families
+problems.problem problems.file problems.shards problems.camera
+problems.structures problems.shelves problems.furniture problems.clutter problems.families
 problems.family_problem problems.labelled problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
 trajectory.clearance trajectory.timing trajectory.trajectory trajectory.files

@@ -12,8 +12,9 @@ from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
-from gnnjax.problems.families import FAMILIES, FamilyScene, Region
+from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.problem import Problem
+from gnnjax.problems.structures import FamilyScene, Region
 from gnnjax.scene.cloud import cloud_of
 from gnnjax.scene.scene import Scene, rotation_matrices
 

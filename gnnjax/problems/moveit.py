@@ -5,15 +5,23 @@ import logging
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.problems.problem import Problem
+from gnnjax.scene.holding import attach
 from gnnjax.scene.messages import fields_of, list_of, numbers, read_message
-from gnnjax.scene.moveit import base_of, read_planning_scene, scene_of
+from gnnjax.scene.moveit import (
+    PlanningScene,
+    RobotState,
+    read_planning_scene,
+    refuse_attached,
+    scene_of,
+    state_of,
+)
 from gnnjax.scene.pose import IDENTITY
 
 _LOG = logging.getLogger(__name__)
@@ -56,8 +64,71 @@ def problem_from_moveit(
 
     Raises:
         InputError: a file that cannot be read, a goal that is no configuration, constraints on the
-            way, a joint that is missing, or a base that stands elsewhere than in the scene.
+            way, a joint that is missing, a base that stands elsewhere than in the scene, or objects
+            that are attached to the robot, for which there is `query_from_moveit`.
     """
+    found, state, problem = _read(scene_path, request_path, robot, names or {})
+    refuse_attached(found.state, f"planning scene {str(scene_path)!r}")
+    refuse_attached(state, f"request {str(request_path)!r}")
+    return problem
+
+
+class MoveItQuery(NamedTuple):
+    """What is to be planned, and for which arm."""
+
+    robot: Robot
+    problem: Problem
+
+
+def query_from_moveit(
+    scene_path: str | Path,
+    request_path: str | Path,
+    robot: Robot,
+    *,
+    names: Mapping[str, str] | None = None,
+) -> MoveItQuery:
+    """`problem_from_moveit` with the arm that holds what is attached to the robot.
+
+    That is `robot` itself where nothing is. Objects may be attached in the scene or in the start
+    state of the request. They are held by the bodies that are called like their links, or whose
+    names end alike, and may touch those of their `touch_links`; MoveIt's frames of these links must
+    be the arm's, too.
+
+    Raises:
+        InputError: see there and `Robot.attach`; or a link that the arm does not have.
+    """
+    found, state, problem = _read(scene_path, request_path, robot, names or {})
+    if found.state.attached and state.attached:
+        raise InputError(
+            f"request {str(request_path)!r} and planning scene {str(scene_path)!r} both have "
+            "objects attached to the robot; keep those of one"
+        )
+    for thing in (*found.state.attached, *state.attached):
+        body = _body(robot, thing.link)
+        if body is None:
+            known = [x.name for x in robot.bodies if x.name]
+            raise InputError(f"{thing.source}: {robot.name} has no such body, but {brief(known)}")
+        allow = {name: _body(robot, name) for name in thing.touches}
+        for name in (name for name, own in allow.items() if own is None):
+            _note(f"planning scenes let {name} be touched, which {robot.name} does not have")
+        touched = [own for own in allow.values() if own is not None]
+        robot = attach(robot, body, thing.shapes, mass=thing.mass, allow=touched)
+    return MoveItQuery(robot, problem)
+
+
+def _body(robot: Robot, link: str) -> str | None:
+    """The body that is called like a link of the request."""
+    own = [body.name for body in robot.bodies if body.name]
+    if link in own:
+        return link
+    alike = [name for name in own if _end_alike(name, link)]
+    return alike[0] if len(alike) == 1 else None
+
+
+def _read(
+    scene_path: str | Path, request_path: str | Path, robot: Robot, names: Mapping[str, str]
+) -> tuple[PlanningScene, RobotState, Problem]:
+    """The scene, the state that the request starts from, and the problem of both."""
     called = f"request {str(request_path)!r}"
     message = read_message(request_path, "request", [*_PROBLEM, *_ON_THE_WAY, *_HOW])
     for name, known in _ON_THE_WAY.items():
@@ -67,19 +138,20 @@ def problem_from_moveit(
                 f"{called} has {name}, which no planner here heeds; remove them to plan without"
             )
     found = read_planning_scene(scene_path)
-    base = base_of(message.get("start_state"), {"": IDENTITY}, called)
-    if base is not None and found.base is not None:
-        apart = np.abs(base.position - found.base.position).max()
-        turned = 1 - abs(base.quat @ found.base.quat)
+    state = state_of(message.get("start_state"), {"": IDENTITY}, called)
+    base, other = state.base, found.state.base
+    if base is not None and other is not None:
+        apart = np.abs(base.position - other.position).max()
+        turned = 1 - abs(base.quat @ other.quat)
         if max(apart, turned) > _SAME:
             raise InputError(
                 f"{called} has the robot at {base.position.tolist()} (w x y z "
-                f"{base.quat.tolist()}), its scene at {found.base.position.tolist()} "
-                f"({found.base.quat.tolist()}); place it once"
+                f"{base.quat.tolist()}), its scene at {other.position.tolist()} "
+                f"({other.quat.tolist()}); place it once"
             )
     goal = _goal(message, called)
     start = _start(message, called)
-    mapping = _matched(robot, list(goal), names or {}, called)
+    mapping = _matched(robot, list(goal), names, called)
     for name in goal.keys() - set(mapping.values()):
         held = _held(robot, name)
         if held is None or abs(held - goal[name]) > _SAME:
@@ -89,17 +161,18 @@ def problem_from_moveit(
                 "load the robot with that joint, or remove the constraint"
             )
     _note_others(robot, start, set(mapping.values()))
-    scene = scene_of(found._replace(base=found.base or base), f"planning scene {str(scene_path)!r}")
-    return Problem(
+    placed = found._replace(state=found.state._replace(base=other or base))
+    problem = Problem(
         _configuration(mapping, start, f"start_state of {called}"),
         _configuration(mapping, goal, f"goal of {called}"),
-        scene,
+        scene_of(placed, f"planning scene {str(scene_path)!r}"),
     )
+    return found, state, problem
 
 
 def _start(message: dict[str, Any], called: str) -> dict[str, float]:
     """Positions of the start state's joints by name."""
-    state = message.get("start_state") or {}  # its fields are known since `base_of`
+    state = message.get("start_state") or {}  # its fields are known since `state_of`
     known = "header name position velocity effort".split()
     joints = fields_of(state.get("joint_state"), known, f"joint_state of {called}")
     given = list_of(joints, "name", called)

@@ -6,6 +6,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.scene.from_mjcf import mjcf_holds, scene_from_mjcf
 from gnnjax.scene.moveit import scene_from_moveit
+from gnnjax.scene.octomap import scene_from_octomap
 from gnnjax.scene.scene import Scene
 from gnnjax.scene.scene_file import scene_from_json
 
@@ -22,11 +23,23 @@ def _json(path: Path, robot: Robot) -> Scene:
     return scene_from_json(path, robot)
 
 
-_READERS = {".json": _json, ".yaml": _moveit, ".yml": _moveit, ".xml": _mjcf}
+def _octomap(path: Path, robot: Robot) -> Scene:
+    return scene_from_octomap(path)
+
+
+_READERS = {
+    ".json": _json,
+    ".yaml": _moveit,
+    ".yml": _moveit,
+    ".xml": _mjcf,
+    ".bt": _octomap,
+    ".ot": _octomap,
+}
 
 
 def read_scene(path: Path, robot: Robot) -> Scene:
-    """Reads a scene: lists (.json), MoveIt's planning scene (.yaml) or a MuJoCo model (.xml).
+    """Reads a scene: lists (.json), MoveIt's planning scene (.yaml), a MuJoCo model (.xml) or an
+    octomap (.bt, .ot).
 
     Args:
         path: of the file.
@@ -35,11 +48,12 @@ def read_scene(path: Path, robot: Robot) -> Scene:
 
     Raises:
         InputError: another ending, or see `scene_from_json`, `scene_from_moveit`,
-            `scene_from_mjcf`.
+            `scene_from_mjcf`, `scene_from_octomap`.
     """
     if path.suffix.lower() not in _READERS:
         raise InputError(
             f"scene file {str(path)!r} has the ending {path.suffix!r}; give .json (lists of "
-            "obstacles), .yaml (a planning scene of MoveIt) or .xml (a MuJoCo model)"
+            "obstacles), .yaml (a planning scene of MoveIt), .xml (a MuJoCo model), .bt or .ot (an "
+            "octomap)"
         )
     return _READERS[path.suffix.lower()](path, robot)

@@ -79,7 +79,7 @@ def point_cloud(
         InputError: no points, another shape, a number that is not finite or beyond 10 km, a radius
             or voxel that is not positive.
     """
-    array = _checked_points(points, source)
+    array = checked_points(points, source)
     for name, size in (("radius", radius), ("voxel", voxel)):
         if size is not None and not 0 < size < np.inf:
             raise InputError(f"{name} of {source} is {size}; it must be positive (m)")
@@ -89,7 +89,8 @@ def point_cloud(
     return Balls(centers, float(radius + more))
 
 
-def _checked_points(points: Sequence | np.ndarray, source: str) -> np.ndarray:
+def checked_points(points: Sequence | np.ndarray, source: str) -> np.ndarray:
+    """Points as an array `[K, 3]`, or what is wrong with them; see `point_cloud`."""
     try:
         array = np.asarray(points, float)
     except (TypeError, ValueError):

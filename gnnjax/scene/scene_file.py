@@ -12,6 +12,8 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
 from gnnjax.scene.allowed import allow_contacts, refuse_allowed
 from gnnjax.scene.cloud import Balls, point_cloud
+from gnnjax.scene.octomap import octomap
+from gnnjax.scene.own_points import MARGIN, without_robot
 from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import Scene, box_bucket, scene_from_shapes
 from gnnjax.scene.shapes import (
@@ -39,9 +41,10 @@ _LISTS = for_every_kind(
 
 # The lists of what has other forms: what each entry needs, and what it may have.
 _CLOUDS = {
-    "clouds": (("points",), ("radius", "voxel")),
+    "clouds": (("points",), ("radius", "voxel", "without_robot_at", "margin")),
     "meshes": (("file",), ("center", "quat", "scale", "voxel", "solid")),
     "height_fields": (("heights", "size"), ("center", "quat", "depth", "voxel")),
+    "octomaps": (("file",), ("center", "quat")),
 }
 
 
@@ -53,19 +56,21 @@ def scene_from_json(path: str | Path, robot: Robot | None = None) -> Scene:
     may have a `quat` (w, x, y, z), and `half_spaces` (`point`, `normal`). All lengths in m.
 
     And there may be `clouds` (`points`: a list, or a file of `points_from_file`; `radius` and
-    `voxel`, see `point_cloud`), `meshes` (`file` and what else `mesh` takes) and `height_fields`
-    (`heights`: a list of rows, or a .npy file; and what else `height_field` takes). Names of files
-    are relative to the folder of the JSON.
+    `voxel`, see `point_cloud`; `without_robot_at`, a configuration, and `margin`, see
+    `without_robot`), `meshes` (`file` and what else `mesh` takes), `height_fields` (`heights`: a
+    list of rows, or a .npy file; and what else `height_field` takes) and `octomaps` (`file`,
+    `center`, `quat`). Names of files are relative to the folder of the JSON.
 
     And `allow`, a list of contacts that are meant: `["hand", "cylinder 0"]`, see `allow_contacts`.
 
     Args:
         path: of the file.
-        robot: the arm, whose bodies `allow` names.
+        robot: the arm, whose bodies `allow` names, and whose own points are taken out of clouds.
 
     Raises:
         InputError: the file is missing, is no JSON, holds anything else, or an obstacle lacks what
-            it needs; or it allows contacts, and no arm is given or they are none.
+            it needs; or it allows contacts, and they are none; or it needs an arm for that or for
+            `without_robot_at`, and none is given.
     """
     called = f"scene file {str(path)!r}"
     data = read_json(path, "scene file")
@@ -76,10 +81,11 @@ def scene_from_json(path: str | Path, robot: Robot | None = None) -> Scene:
         )
     short = repr(str(path))
     clouds = [
-        _read_cloud(name, values, Path(path).parent, f"{name} {i} of {short}")
+        _read_cloud(name, values, Path(path).parent, f"{name} {i} of {short}", robot)
         for name in _CLOUDS
         for i, values in enumerate(_listed(data.pop(name, []), name, called))
     ]
+    clouds = [balls for balls in clouds if balls is not None]
     allow = _listed(data.pop("allow", []), "allow", called)
     scene = scene_from_shapes(shapes_of(data, called, short), clouds=clouds, source=short)
     if not allow:
@@ -148,7 +154,10 @@ def shapes_of(data: dict[str, Any], called: str, short: str) -> list[Shape]:
     ]
 
 
-def _read_cloud(name: str, values: Any, folder: Path, called: str) -> Balls:
+def _read_cloud(
+    name: str, values: Any, folder: Path, called: str, robot: Robot | None
+) -> Balls | None:
+    """What stands in an entry of a list; None where all points of it are on the robot."""
     needed, optional = _CLOUDS[name]
     if not isinstance(values, dict) or not set(needed) <= values.keys() <= {*needed, *optional}:
         found = brief(sorted(values) if isinstance(values, dict) else values)
@@ -156,7 +165,7 @@ def _read_cloud(name: str, values: Any, folder: Path, called: str) -> Balls:
             f"{called} has {found}; give {', '.join(needed)} and, if wanted, {', '.join(optional)}"
         )
     given = dict(values)
-    for key in given.keys() & {"radius", "voxel", "scale", "depth"}:
+    for key in given.keys() & {"radius", "voxel", "scale", "depth", "margin"}:
         if given[key] is None and (name, key) == ("clouds", "voxel"):
             continue
         if type(given[key]) not in (int, float):
@@ -164,23 +173,41 @@ def _read_cloud(name: str, values: Any, folder: Path, called: str) -> Balls:
         given[key] = float(given[key])
     if not isinstance(given.get("solid"), bool | None):
         raise InputError(f"{called} has solid = {brief(given['solid'])}; give true or false")
-    for key in given.keys() & {"center", "quat", "size"}:
+    for key in given.keys() & {"center", "quat", "size", "without_robot_at"}:
         if not isinstance(given[key], list):
             raise InputError(f"{called} has {key} = {brief(given[key])}; give a list of numbers")
     first = given.pop(needed[0])
-    if not isinstance(first, str) and (name == "meshes" or not isinstance(first, list)):
-        either = "" if name == "meshes" else ", or a list"
+    if not isinstance(first, str) and (needed[0] == "file" or not isinstance(first, list)):
+        either = "" if needed[0] == "file" else ", or a list"
         raise InputError(
             f"{called} has {needed[0]} = {brief(first)}; give the name of a file{either}"
         )
     if isinstance(first, str):
         file = folder / first
-        if name == "meshes":
-            return mesh(file, **given)
+        if needed[0] == "file":
+            return (mesh if name == "meshes" else octomap)(file, **given)
         first = points_from_file(file) if name == "clouds" else _numbers_of(file, called)
     if name == "clouds":
+        if given.keys() & {"without_robot_at", "margin"}:
+            first = _without_robot(first, given, called, robot)
+            if not len(first):
+                return None
         return point_cloud(first, **given, source=called)
     return height_field(first, **given)
+
+
+def _without_robot(
+    points: Any, given: dict[str, Any], called: str, robot: Robot | None
+) -> np.ndarray:
+    """The points of a cloud, less the robot's; takes from `given` what says which these are."""
+    if "without_robot_at" not in given:
+        raise InputError(f"{called} has a margin, which is one to the robot; add without_robot_at")
+    if robot is None:
+        raise InputError(
+            f"{called} has without_robot_at; say which arm was there, scene_from_json(path, robot)"
+        )
+    q = given.pop("without_robot_at")
+    return without_robot(points, robot, q, given.pop("margin", MARGIN), source=called)
 
 
 def _numbers_of(file: Path, called: str) -> np.ndarray:

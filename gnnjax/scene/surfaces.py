@@ -51,8 +51,8 @@ def mesh(
         raise InputError(f"scale of {called} is {scale}; it must be positive")
     loaded = by_trimesh(Path(file), called, "mesh")
     vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
-    rotation = _rotation(quat, called)
-    placed = scale * vertices @ rotation.T + _vector(center, f"center of {called}")
+    rotation = rotation_of(quat, called)
+    placed = scale * vertices @ rotation.T + vector_of(center, f"center of {called}")
     return enclosed(placed, faces, voxel, solid, source=called)
 
 
@@ -89,7 +89,7 @@ def height_field(
         )
     if not (np.abs(array) <= MOST_METERS).all():
         raise InputError(f"heights of {called} must be finite, and below {MOST_METERS:g} m")
-    across, along = _vector(size, f"size of {called}", 2)
+    across, along = vector_of(size, f"size of {called}", 2)
     if not (across > 0 and along > 0 and 0 < depth < np.inf):
         raise InputError(f"size {size} and depth {depth} of {called} must be positive (m)")
     rows, columns = array.shape
@@ -106,8 +106,8 @@ def height_field(
     quads = [_quads(top), _quads(below)]
     for edge in (np.s_[0, :], np.s_[-1, :], np.s_[:, 0], np.s_[:, -1]):
         quads.append(_quads(np.stack([top[edge], below[edge]])))
-    rotation = _rotation(quat, called)
-    placed = vertices @ rotation.T + _vector(center, f"center of {called}")
+    rotation = rotation_of(quat, called)
+    placed = vertices @ rotation.T + vector_of(center, f"center of {called}")
     # Closed, though its faces are not all turned outwards.
     return _covered(placed, np.concatenate(quads), voxel, True, called)
 
@@ -210,8 +210,8 @@ def _inside(samples: np.ndarray, cell: float) -> np.ndarray:
     return lower + (np.argwhere(hollow & chosen) + 0.5) * cell
 
 
-def _rotation(quat: Sequence | np.ndarray, called: str) -> np.ndarray:
-    array = _vector(quat, f"quat of {called}", 4)
+def rotation_of(quat: Sequence | np.ndarray, called: str) -> np.ndarray:
+    array = vector_of(quat, f"quat of {called}", 4)
     norm = float(np.linalg.norm(array))
     if norm < 1e-3:
         raise InputError(f"quat of {called} is {array.tolist()}; give a rotation as w x y z")
@@ -225,7 +225,7 @@ def _rotation(quat: Sequence | np.ndarray, called: str) -> np.ndarray:
     )
 
 
-def _vector(value: Sequence | np.ndarray, called: str, width: int = 3) -> np.ndarray:
+def vector_of(value: Sequence | np.ndarray, called: str, width: int = 3) -> np.ndarray:
     try:
         array = np.asarray(value, float)
     except (TypeError, ValueError):
