@@ -80,17 +80,10 @@ def _gaps_to(
         near &= ~obstacles.allowed[body.links[body.moving]].take(at.scene, axis=-1)
     link, thing, moment = np.unravel_index(np.flatnonzero(near), near.shape)
     link = body.moving[link]
-    # Balls of links and the obstacles themselves.
-    apart = obstacles.distances(_pick(middles, link, moment), thing, at.scene[moment])
-    near = ~(apart > _pick(reach, link, moment))
-    link, thing, moment = link[near], thing[near], moment[near]
-    # Every sphere of the links that are left.
-    row, sphere = members(body.first[link], body.count[link])
-    link, thing, moment = link[row], thing[row], moment[row]
-    points = _place(_pick(frames, link, moment), body.centers[:, sphere])
-    apart = obstacles.distances(points, thing, at.scene[moment])
-    gap = apart - body.radii[sphere]
-    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+    found = _Links(link, moment, thing)
+    sphere, moment, thing, gap, motion = _spheres_of(
+        found, obstacles.distances, body, at, rates, frames, middles
+    )
     part = body.part[sphere]
 
     def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
@@ -114,18 +107,56 @@ def _gaps_to_clouds(
     middles: np.ndarray,
 ) -> Gaps:
     """Of spheres alone, as the planning kernels see clouds: no part is looked at."""
-    reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
     link, moment = np.indices((len(body.moving), len(at.scene))).reshape(2, -1)
-    link = body.moving[link]
-    apart = obstacles.cloud_distances(_pick(middles, link, moment), at.scene[moment])
-    near = ~(apart > _pick(reach, link, moment))
-    link, moment = link[near], moment[near]
-    row, sphere = members(body.first[link], body.count[link])
-    link, moment = link[row], moment[row]
-    points = _place(_pick(frames, link, moment), body.centers[:, sphere])
-    gap = obstacles.cloud_distances(points, at.scene[moment]) - body.radii[sphere]
-    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+    found = _Links(body.moving[link], moment, np.zeros_like(moment))
+
+    def distances(points: np.ndarray, thing: np.ndarray, scene: np.ndarray) -> np.ndarray:
+        return obstacles.cloud_distances(points, scene)  # of a scene's only cloud
+
+    _, moment, _, gap, motion = _spheres_of(found, distances, body, at, rates, frames, middles)
     return Gaps(moment, gap, motion, ~(gap > 0))
+
+
+class _Links(NamedTuple):
+    """N links, each at a moment and before a thing in its scene."""
+
+    link: np.ndarray  # [N]
+    moment: np.ndarray  # [N]
+    thing: np.ndarray  # [N]
+
+
+def _spheres_of(
+    near: _Links,
+    distances: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    body: Spheres,
+    at: Moments,
+    rates: Rates,
+    frames: np.ndarray,
+    middles: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Every sphere of the links whose ball may come to touch the thing: its number, moment and
+    thing, the gap between them, m, and how far it may move, m.
+
+    Args:
+        near: links to be looked at.
+        distances: of points `[3, N]` to things `[N]` of scenes `[N]`, m.
+        body: whose spheres they are.
+        at: the moments.
+        rates: of their motions.
+        frames: of its links, at the moments.
+        middles: of the balls around these.
+    """
+    link, moment, thing = near
+    reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
+    apart = distances(_pick(middles, link, moment), thing, at.scene[moment])
+    left = ~(apart > _pick(reach, link, moment))
+    link, moment, thing = link[left], moment[left], thing[left]
+    row, sphere = members(body.first[link], body.count[link])
+    link, moment, thing = link[row], moment[row], thing[row]
+    points = _place(_pick(frames, link, moment), body.centers[:, sphere])
+    gap = distances(points, thing, at.scene[moment]) - body.radii[sphere]
+    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+    return sphere, moment, thing, gap, motion
 
 
 def _gaps_within(
