@@ -45,7 +45,8 @@ scene.pose scene.held scene.holding scene.messages scene.collision_objects
 scene.moveit scene.from_mjcf scene.any_file
 collision.spheres collision.simplex collision.convex collision.exact collision.components
 collision.fused collision.mjx collision.cloud collision.checker collision.sequences
-collision.obstacles collision.hulls collision.bounds collision.gaps collision.certify
+collision.obstacles collision.hulls collision.bounds collision.link_frames
+collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten

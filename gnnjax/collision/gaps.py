@@ -1,7 +1,7 @@
 """The gaps between the arm and what it may touch, at many configurations at once.
 
-Kinematics and distances of the certificate, in NumPy and double precision, apart from the planning
-kernels. Arrays have their components first and what they are computed for last, see `obstacles.py`.
+Distances of the certificate, in NumPy and double precision, apart from the planning kernels. Arrays
+have their components first and what they are computed for last, see `obstacles.py`.
 """
 
 import functools
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gnnjax.collision.bounds import Rates, Spheres
+from gnnjax.collision.link_frames import link_frames, place
 from gnnjax.collision.obstacles import Obstacles, sum_of_squares
 
 # m; added to every motion, for what double precision rounds off. That is less than 1e-11 m among
@@ -50,8 +51,8 @@ def gaps_of(body: Spheres, obstacles: Obstacles, at: Moments, rates: Rates) -> G
     Links that no joint moves are not compared with obstacles: no configuration changes the
     outcome, see `clear_of_base`.
     """
-    frames = _frames(body, at.q)
-    middles = _place(frames, body.middles[:, :, None])  # [3 L B]
+    frames = link_frames(body, at.q)
+    middles = place(frames, body.middles[:, :, None])  # [3 L B]
     found = [
         _gaps_to(body, obstacles, at, rates, frames, middles),
         _gaps_within(body, at, rates, frames, middles),
@@ -80,17 +81,10 @@ def _gaps_to(
         near &= ~obstacles.allowed[body.links[body.moving]].take(at.scene, axis=-1)
     link, thing, moment = np.unravel_index(np.flatnonzero(near), near.shape)
     link = body.moving[link]
-    # Balls of links and the obstacles themselves.
-    apart = obstacles.distances(_pick(middles, link, moment), thing, at.scene[moment])
-    near = ~(apart > _pick(reach, link, moment))
-    link, thing, moment = link[near], thing[near], moment[near]
-    # Every sphere of the links that are left.
-    row, sphere = members(body.first[link], body.count[link])
-    link, thing, moment = link[row], thing[row], moment[row]
-    points = _place(_pick(frames, link, moment), body.centers[:, sphere])
-    apart = obstacles.distances(points, thing, at.scene[moment])
-    gap = apart - body.radii[sphere]
-    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+    found = _Links(link, moment, thing)
+    sphere, moment, thing, gap, motion = _spheres_of(
+        found, obstacles.distances, body, at, rates, frames, middles
+    )
     part = body.part[sphere]
 
     def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
@@ -114,18 +108,56 @@ def _gaps_to_clouds(
     middles: np.ndarray,
 ) -> Gaps:
     """Of spheres alone, as the planning kernels see clouds: no part is looked at."""
-    reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
     link, moment = np.indices((len(body.moving), len(at.scene))).reshape(2, -1)
-    link = body.moving[link]
-    apart = obstacles.cloud_distances(_pick(middles, link, moment), at.scene[moment])
-    near = ~(apart > _pick(reach, link, moment))
-    link, moment = link[near], moment[near]
-    row, sphere = members(body.first[link], body.count[link])
-    link, moment = link[row], moment[row]
-    points = _place(_pick(frames, link, moment), body.centers[:, sphere])
-    gap = obstacles.cloud_distances(points, at.scene[moment]) - body.radii[sphere]
-    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+    found = _Links(body.moving[link], moment, np.zeros_like(moment))
+
+    def distances(points: np.ndarray, thing: np.ndarray, scene: np.ndarray) -> np.ndarray:
+        return obstacles.cloud_distances(points, scene)  # of a scene's only cloud
+
+    _, moment, _, gap, motion = _spheres_of(found, distances, body, at, rates, frames, middles)
     return Gaps(moment, gap, motion, ~(gap > 0))
+
+
+class _Links(NamedTuple):
+    """N links, each at a moment and before a thing in its scene."""
+
+    link: np.ndarray  # [N]
+    moment: np.ndarray  # [N]
+    thing: np.ndarray  # [N]
+
+
+def _spheres_of(
+    near: _Links,
+    distances: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    body: Spheres,
+    at: Moments,
+    rates: Rates,
+    frames: np.ndarray,
+    middles: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Every sphere of the links whose ball may come to touch the thing: its number, moment and
+    thing, the gap between them, m, and how far it may move, m.
+
+    Args:
+        near: links to be looked at.
+        distances: of points `[3, N]` to things `[N]` of scenes `[N]`, m.
+        body: whose spheres they are.
+        at: the moments.
+        rates: of their motions.
+        frames: of its links, at the moments.
+        middles: of the balls around these.
+    """
+    link, moment, thing = near
+    reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
+    apart = distances(_pick(middles, link, moment), thing, at.scene[moment])
+    left = ~(apart > _pick(reach, link, moment))
+    link, moment, thing = link[left], moment[left], thing[left]
+    row, sphere = members(body.first[link], body.count[link])
+    link, moment, thing = link[row], moment[row], thing[row]
+    points = place(_pick(frames, link, moment), body.centers[:, sphere])
+    gap = distances(points, thing, at.scene[moment]) - body.radii[sphere]
+    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
+    return sphere, moment, thing, gap, motion
 
 
 def _gaps_within(
@@ -139,8 +171,8 @@ def _gaps_within(
     couple, moment = couple[row], moment[row]
     first, second = body.pairs[pair].T
     between = sum_of_squares(
-        _place(_pick(frames, a[couple], moment), body.centers[:, first])
-        - _place(_pick(frames, b[couple], moment), body.centers[:, second])
+        place(_pick(frames, a[couple], moment), body.centers[:, first])
+        - place(_pick(frames, b[couple], moment), body.centers[:, second])
     )
     gap = np.sqrt(between) - body.radii[first] - body.radii[second]
     motion = _pick(rates.pairs, pair, at.motion[moment]) * at.share[moment] + _ROUNDING
@@ -221,50 +253,8 @@ def clear_of_base(body: Spheres, obstacles: Obstacles) -> np.ndarray:
 def _base(body: Spheres) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centers `[3, F]`, radii `[F]` and bodies `[F]` of the spheres that no joint moves."""
     fixed = np.flatnonzero(~np.isin(body.link_of, body.moving))
-    frames = _frames(body, body.robot.home[:, None])[:, :, body.link_of[fixed], 0]
-    return _place(frames, body.centers[:, fixed]), body.radii[fixed], body.bodies[fixed]
-
-
-def _frames(body: Spheres, q: np.ndarray) -> np.ndarray:
-    """The axes and the origin of every link at q `[D, B]`, `[4, 3, L, B]`."""
-    # Bodies lie as the MJCF places them when a joint is at its reference (`ref`).
-    value = q - body.robot.mj_model.qpos0[:, None]
-    sin, cos = np.sin(value)[:, None, None], np.cos(value)[:, None, None]
-    # Rodrigues, [D 3 3 B].
-    cross, squared = body.crosses[..., None], (body.crosses @ body.crosses)[..., None]
-    turns = np.eye(3)[..., None] + cross * sin + squared * (1 - cos)
-    world = np.concatenate([np.eye(3), np.zeros((1, 3))])[..., None]
-    # The world comes first here: indices are shifted by one.
-    frames = [np.broadcast_to(world, (4, 3, q.shape[1]))]
-    for link in body.robot.bodies:
-        parent = frames[link.parent + 1]
-        origin = _place(parent, link.position)
-        axes = _turned(parent, link.rotation[..., None])
-        for joint in link.joints:
-            if not joint.hinge:
-                origin = origin + _along(axes, joint.axis) * value[joint.index]
-                continue
-            turned = _turned(axes, turns[joint.index])
-            if joint.anchor.any():
-                origin = origin + _along(axes, joint.anchor) - _along(turned, joint.anchor)
-            axes = turned
-        frames.append(np.concatenate([axes, origin[None]]))
-    return np.stack([frames[number + 1] for number in body.links], axis=2)
-
-
-def _along(axes: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Points `[3, ...]`, given by components `[3, ...]` along axes `[3, 3, ...]`."""
-    return axes[0] * point[0] + axes[1] * point[1] + axes[2] * point[2]
-
-
-def _place(frames: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Points in the world, of points in frames `[4, 3, ...]`."""
-    return frames[3] + _along(frames, point)
-
-
-def _turned(axes: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Axes `[3, 3, B]`, turned by rotations `[3, 3, B]` as seen along themselves."""
-    return _along(axes[:, None], turn[:, :, None])
+    frames = link_frames(body, body.robot.home[:, None])[:, :, body.link_of[fixed], 0]
+    return place(frames, body.centers[:, fixed]), body.radii[fixed], body.bodies[fixed]
 
 
 def _pick(array: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
