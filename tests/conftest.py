@@ -1,11 +1,13 @@
 """Settings and robots that several test files share."""
 
+import functools
 import gc
 import os
 from pathlib import Path
 
 import jax
 import pytest
+from jaxtyping import _decorator
 
 from gnnjax.arm import covers
 from gnnjax.planning.options import PlannerOptions
@@ -29,6 +31,26 @@ if jax.__version_info__ < (0, 11):  # where the flag is known
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FLAGS}"
 # Arms that tests make up have few spheres a part, which leave more to the parts themselves.
 covers._MOST = 3
+
+
+def _once(make):
+    """What `make` made of the same arguments before; of lists and arrays it makes it anew."""
+    remembered = functools.cache(make)
+
+    def make_once(*args, **kwargs):
+        try:
+            hash((args, *kwargs.values()))
+        except TypeError:
+            return make(*args, **kwargs)
+        return remembered(*args, **kwargs)
+
+    return make_once
+
+
+# Types are checked in functions within functions, too. What checks those of a signature is made
+# once, not each time that the outer function is called, which took longer than many a test.
+for _name in ("_make_fn_with_signature", "_apply_typechecker"):
+    setattr(_decorator, _name, _once(getattr(_decorator, _name)))
 
 TINY = """
 <mujoco model="tiny">

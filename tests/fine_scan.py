@@ -18,12 +18,12 @@ def random_scene(rng, num=3):
     return make_scene(centers, rng.uniform(0.03, 0.15, (num, 3)), quats)
 
 
-def collides_anywhere(robot, scene, path, step=0.002):
-    """Tests a path every `step` (configuration units) with MuJoCo's C engine."""
+def collides_anywhere(robot, scene, *paths, step=0.002):
+    """Tests paths every `step` (configuration units) with MuJoCo's C engine."""
     model = build_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
     place_boxes(model, data, scene)
-    for start, end in itertools.pairwise(path):
+    for start, end in itertools.chain(*map(itertools.pairwise, paths)):
         count = int(np.ceil(np.linalg.norm(end - start) / step))
         for fraction in np.linspace(0, 1, count + 1):
             data.qpos[:] = start + fraction * (end - start)

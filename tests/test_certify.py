@@ -117,7 +117,7 @@ def test_curves_near_a_certified_line_are_free_in_a_fine_scan(robots):
         curves = edge[0] + at * (edge[1] - edge[0]) + signs * np.sin(np.pi * at) * slack
         curves = np.clip(curves, robot.joint_lower, robot.joint_upper)
         # Chords of these curves stay within the slack, too, which is convex.
-        assert not (yes and any(collides_anywhere(robot, scene, curve) for curve in curves))
+        assert not (yes and collides_anywhere(robot, scene, *curves, step=0.01))
     assert 10 < certified < wider
 
 
@@ -152,17 +152,16 @@ def test_the_clearance_of_a_path_is_the_least_along_it(robots):
     path = rng.uniform(robot.joint_lower, robot.joint_upper, (3, robot.num_dof))
     scene = random_scene(rng, num=3)
 
-    def clearance(at):
-        """At 0 to 2, along both edges."""
-        edge = min(int(at), 1)
-        q = path[edge] + (at - edge) * (path[edge + 1] - path[edge])
-        return configuration_clearance(robot, scene, q)
+    def along(at):
+        """Clearances at 0 to 2, along both edges."""
+        edge = np.minimum(at.astype(int), 1)
+        q = path[edge] + (at - edge)[:, None] * (path[edge + 1] - path[edge])
+        return clearances(robot, scene, q)
 
     # Some hundred steps, and as many between the neighbours of the nearest.
     coarse = np.linspace(0, 2, 401)
-    nearest = min(coarse, key=clearance)
-    fine = np.clip(nearest + np.linspace(-0.005, 0.005, 201), 0, 2)
-    least = min(clearance(at) for at in fine)
+    nearest = coarse[along(coarse).argmin()]
+    least = along(np.clip(nearest + np.linspace(-0.005, 0.005, 201), 0, 2)).min()
     # No point of the arm, 1 m long, moves by more than 0.03 m to the next sample.
     assert least - 1e-6 <= path_clearance(robot, scene, path, 0.02) <= least + 0.03
     assert path_clearance(robot, scene, path, 0.001) == pytest.approx(least, abs=2e-3)
@@ -173,6 +172,7 @@ def test_the_proven_clearance_of_a_path_is_its_least_distance_to_obstacles(robot
     nothing = make_scene([], [])
     while found < 4:
         path = rng.uniform(robot.joint_lower, robot.joint_upper, (3, robot.num_dof))
+        path = path[0] + 0.3 * (path - path[0])  # most of the long ones touch something
         scene = random_scene(rng, num=3)
         if not certify_path(robot, scene, path):
             continue
@@ -302,7 +302,7 @@ def test_an_edge_is_certified_alike_alone_and_in_any_company(robots, name):
     np.testing.assert_array_equal(certify_edges(robot, batch, starts, ends, owner), alone)
     order = np.random.default_rng(6).permutation(len(starts))
     # More than are worked on at once, and some that are none among them.
-    order = np.tile(order, 40)
+    order = np.tile(order, 26)
     starts, ends, owner, alone = (np.array(x)[order] for x in (starts, ends, owner, alone))
     starts[3::7, -1], ends[5::7, 0] = np.nan, np.inf
     alone[3::7] = alone[5::7] = False
@@ -344,7 +344,7 @@ def test_a_link_that_turns_about_itself_is_not_taken_for_the_base(tmp_path):
 
 def test_clearances_are_those_of_single_configurations(robots):
     robot = robots["tiny"]
-    scenes, batch, q, _, owner = scenes_and_edges(robot, num_edges=600)
+    scenes, batch, q, _, owner = scenes_and_edges(robot, num_edges=200)
     alone = [
         configuration_clearance(robot, scenes[p], row) for p, row in zip(owner, q, strict=True)
     ]
@@ -352,7 +352,7 @@ def test_clearances_are_those_of_single_configurations(robots):
     np.testing.assert_array_equal(found, alone)
     touching = clearances(robot, batch, q, owner, most=0.0)
     np.testing.assert_array_equal(touching[found <= 0], found[found <= 0])
-    assert 3 < (found <= 0).sum() == (touching <= 0).sum() < 300
+    assert 2 < (found <= 0).sum() == (touching <= 0).sum() < 100
     assert np.isnan(configuration_clearance(robot, scenes[1], q[0] * np.nan))
 
 
