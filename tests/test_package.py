@@ -56,7 +56,8 @@ problems.family_problem problems.labelled problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
 trajectory.clearance trajectory.timing trajectory.trajectory trajectory.files
 planning.options planning.query planning.goals planning.motions planning.progress
-planning.strategy planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
+planning.strategy planning.walks planning.guided planning.pool planning.shortening
+planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.processes
 trajectory.control trajectory.simulate trajectory.execution
 training.weights training.checkpoint training.run

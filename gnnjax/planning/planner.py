@@ -199,10 +199,10 @@ class Planner(abc.ABC):
         start, ends = find_goals(self.robot, scene, start, goal, goals, goal_pose, margin, seed)
         checking = time.perf_counter() - begin
         scenes = jax.tree.map(lambda x: np.asarray(x)[None], scene)
+        thick = inflated(scenes, margin)
 
         def attempt(end: np.ndarray, most: int | None) -> Plan:
-            problem = Problem(start[None], end[None], inflated(scenes, margin))
-            return self._plan_batch(problem, seed, most)[0]
+            return self._plan_batch(Problem(start[None], end[None], thick), seed, most)[0]
 
         plan = plan_to_cheapest(attempt, start, ends, self.options.time_limit)
         (plan,) = with_motions(self.robot, [plan], scenes, motion, margin)
