@@ -1,7 +1,7 @@
 """The joints that move a frame of the arm: a transform each, affine in its cosine and sine.
 
-Kinematics of one frame alone, for many configurations: arrays have their batch at the end, and all
-joints are computed together. Transforms are `[3 4]`, a rotation and, in the last column, a place.
+Kinematics of one frame alone, for S configurations, which come last in arrays; what joints have in
+common is computed together. Transforms are `[3 4]`, a rotation and, in the last column, a place.
 """
 
 from typing import NamedTuple
@@ -31,8 +31,8 @@ class Chain(NamedTuple):
 class Kinematics(NamedTuple):
     """Where a frame is, and how joints move it."""
 
-    frame: jax.Array  # [3 4 *batch]
-    jacobian: jax.Array  # [D 6 *batch] m and rad a rad or m
+    frame: jax.Array  # [3 4 S]
+    jacobian: jax.Array  # [D 6 S] m and rad a rad or m
 
 
 def chain_of(robot: Robot, tool: ToolFrame) -> Chain:
@@ -66,15 +66,12 @@ def kinematics(chain: Chain, base: jax.Array, q: jax.Array) -> Kinematics:
 
     Args:
         chain: its constants.
-        base: `[3 4 *batch]`, the arm's base, in the frame in which all is wanted.
-        q: `[D *batch]` configurations.
+        base: `[3 4 S]`, the arm's base, in the frame in which all is wanted.
+        q: `[D S]` configurations.
     """
 
     def constant(array: np.ndarray) -> jax.Array:
-        """With axes for the batch."""
-        return jnp.expand_dims(
-            jnp.asarray(array, q.dtype), range(array.ndim, array.ndim + q.ndim - 1)
-        )
+        return jnp.asarray(array, q.dtype)[..., None]
 
     values = q[chain.joints] - constant(chain.zero)
     hinge = constant(chain.hinge)
@@ -85,13 +82,13 @@ def kinematics(chain: Chain, base: jax.Array, q: jax.Array) -> Kinematics:
     for one in local:
         base = settled(_composed(base, one))
         frames.append(base)
-    found = jnp.stack(frames)  # [N 3 4 *batch]
+    found = jnp.stack(frames)  # [N 3 4 S]
     frame = _composed(base, constant(chain.tool))
     axes = jnp.sum(found[:, :, :3] * constant(chain.axes)[:, None], axis=2)
     anchors = found[:, :, 3] + jnp.sum(found[:, :, :3] * constant(chain.anchors)[:, None], axis=2)
     around = jnp.cross(axes, frame[:, 3] - anchors, axis=1)
     columns = jnp.concatenate(
-        [jnp.where(hinge[:, None], around, axes), axes * hinge[:, None]], axis=1
+        [jnp.where(hinge[:, None] > 0, around, axes), axes * hinge[:, None]], axis=1
     )
     jacobian = jnp.zeros((len(q), *columns.shape[1:]), q.dtype).at[chain.joints].set(columns)
     return Kinematics(frame, jacobian)
@@ -108,7 +105,7 @@ def _compose(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
 
 
 def _composed(outer: jax.Array, inner: jax.Array) -> jax.Array:
-    """`_compose` with a batch at the end."""
+    """`_compose` of S transforms."""
     turned = jnp.sum(outer[:, :3, None] * inner[None], axis=1)
     return turned.at[:, 3].add(outer[:, 3])
 

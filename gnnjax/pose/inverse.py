@@ -10,15 +10,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import clearances
-from gnnjax.devices import cache_compilations, run_where_called
+from gnnjax.devices import cache_compilations, map_first, run_where_called
 from gnnjax.errors import InputError, brief, check_seed
 from gnnjax.pose.chain import chain_of
 from gnnjax.pose.goal import AXES, PoseGoal, check_goal, tool_frame
@@ -84,12 +83,12 @@ def inverse_kinematics(
     targets = _targets(goal, position.reshape(-1, 3), quat.reshape(-1, 4))
     num = len(targets.position)
     found: list[list[Solutions]] = [[] for _ in range(num)]
-    left, size = np.arange(num), 1 if num == 1 else _POSES
+    left = np.arange(num)
     for number in range(_ROUNDS):
         starts = _starts(robot, home, check_seed(seed), number)
-        for first in range(0, len(left), size):
-            rows = left[first : first + size]
-            ends = _ends(robot, goal, targets, rows, size, starts)
+        for first in range(0, len(left), _POSES):
+            rows = left[first : first + _POSES]
+            ends = _ends(robot, goal, targets, rows, starts)
             judged = _judged(robot, scene, goal, home, ends)
             for i, row in enumerate(rows):
                 found[row].append(Solutions(*(x[i] for x in judged)))
@@ -102,10 +101,10 @@ def inverse_kinematics(
 
 @functools.cache
 def prepare(robot: Robot, frame: str | None) -> None:
-    """Compiles what `inverse_kinematics` needs for one pose at a time."""
+    """Compiles what `inverse_kinematics` needs."""
     goal = PoseGoal(np.zeros(3), IDENTITY_QUAT, frame=frame)
     targets = _targets(goal, np.zeros((1, 3)), np.array([IDENTITY_QUAT]))
-    _ends(robot, goal, targets, np.zeros(1, int), 1, _starts(robot, robot.home, 0, 0))
+    _ends(robot, goal, targets, np.zeros(1, int), _starts(robot, robot.home, 0, 0))
 
 
 @functools.cache
@@ -148,26 +147,25 @@ def _points(num_dims: int, seed: int, number: int) -> np.ndarray:
 
 
 @functools.cache
-def _compiled(robot: Robot, frame: str | None) -> Callable[[Target, jax.Array], Reached]:
-    """Descends to P poses from S configurations each."""
+def _compiled(robot: Robot, frame: str | None) -> Callable[..., Reached]:
+    """Descends to the first of some poses `[P ...]` from the same configurations `[S D]` each."""
     cache_compilations()
     run_where_called()
     chain = chain_of(robot, tool_frame(robot, frame))
 
-    def function(targets: Target, starts: Float[Array, "S D"]) -> Reached:
-        own = jax.tree.map(lambda x: x[:, None], targets)
-        begin = jnp.broadcast_to(starts, (len(targets.position), *starts.shape))
-        return descend(robot, chain, own, begin)
+    def function(targets: Target, num: jax.Array, starts: jax.Array) -> Reached:
+        return map_first(lambda target: descend(robot, chain, target, starts), num, targets)
 
     return jax.jit(function)
 
 
 def _ends(
-    robot: Robot, goal: PoseGoal, targets: Target, rows: np.ndarray, size: int, starts: np.ndarray
+    robot: Robot, goal: PoseGoal, targets: Target, rows: np.ndarray, starts: np.ndarray
 ) -> Reached:
-    """Where the descents to some poses end, `[R S ...]`; there is room for `size` poses."""
-    padded = rows[np.minimum(np.arange(size), len(rows) - 1)]
-    found = _compiled(robot, goal.frame)(jax.tree.map(lambda x: x[padded], targets), starts)
+    """Where the descents to some poses end, `[R S ...]`."""
+    padded = np.pad(rows, (0, _POSES - len(rows)), mode="edge")
+    chosen = jax.tree.map(lambda x: x[padded], targets)
+    found = _compiled(robot, goal.frame)(chosen, np.int32(len(rows)), starts)
     return Reached(*(np.asarray(x)[: len(rows)] for x in found))
 
 

@@ -23,7 +23,7 @@ _TINY = 1e-12  # no division by zero
 
 
 class Target(NamedTuple):
-    """Poses that are wanted, and of which axes, in single precision."""
+    """A pose that is wanted, and of which axes, in single precision."""
 
     position: Float[Array, "*batch 3"]  # m
     rotation: Float[Array, "*batch 3 3"]
@@ -39,20 +39,18 @@ class Reached(NamedTuple):
     rotation_error: Float[Array, "*batch"]  # rad, likewise
 
 
-def descend(robot: Robot, chain: Chain, target: Target, q: Float[Array, "*batch D"]) -> Reached:
-    """Brings a frame of the arm as close to poses as steps from some configurations do.
+def descend(robot: Robot, chain: Chain, target: Target, starts: Float[Array, "S D"]) -> Reached:
+    """Brings a frame of the arm as close to a pose as steps from each of some configurations do.
 
     Args:
         robot: the arm.
         chain: of the frame.
-        target: poses `[*poses ...]`; one for each of the batch, or for all along axes of length 1.
-        q: where descents begin.
+        target: one pose.
+        starts: where descents begin.
     """
-    # From here on, the batch comes last.
-    lower, upper = (
-        jnp.expand_dims(x, range(1, q.ndim)) for x in (robot.joint_lower, robot.joint_upper)
-    )
-    places, turns = (jnp.moveaxis(x, -1, 0) for x in (target.places, target.turns))
+    # From here on, descents come last.
+    lower, upper = robot.joint_lower[:, None], robot.joint_upper[:, None]
+    places, turns = target.places[:, None], target.turns[:, None]
     counts = jnp.concatenate([places, LEVER * turns])
     base = _from_pose(target)
 
@@ -69,31 +67,31 @@ def descend(robot: Robot, chain: Chain, target: Target, q: Float[Array, "*batch 
         jacobian = settled(jnp.where(stopped[:, None], 0.0, jacobian))
         damping = 0.5 * jnp.sum(wanted * wanted, axis=0) + _LEAST_DAMPING
         system = jnp.sum(jacobian[:, :, None] * jacobian[:, None], axis=0)
-        system += jnp.expand_dims(jnp.eye(6), range(2, system.ndim)) * damping
+        system += jnp.eye(6)[..., None] * damping
         moved = q + jnp.sum(jacobian * _solve(settled(system), wanted), axis=1)
         return jnp.clip(moved, lower, upper)
 
-    found = jax.lax.fori_loop(0, _STEPS, step, jnp.moveaxis(q, -1, 0))
+    found = jax.lax.fori_loop(0, _STEPS, step, starts.T)
     frame, _ = kinematics(chain, base, found)
     away = places * frame[:, 3]
     sines, cosine = _turn(turns, frame)
     angle = jnp.arctan2(jnp.sqrt(jnp.sum(sines * sines, axis=0)), cosine)
     return Reached(
-        jnp.moveaxis(found, 0, -1),
+        found.T,
         jnp.sqrt(jnp.sum(away * away, axis=0)),
-        angle * turns.max(axis=0),
+        angle * turns.max(),
     )
 
 
 def _from_pose(target: Target) -> jax.Array:
-    """The base of the arm, as poses see it, `[3 4 *poses]`."""
-    turned = jnp.moveaxis(target.rotation, (-1, -2), (0, 1))
-    place = -jnp.sum(turned * jnp.moveaxis(target.position, -1, 0), axis=1)
-    return jnp.concatenate([turned, place[:, None]], axis=1)
+    """The base of the arm, as the pose sees it, `[3 4 1]`."""
+    turned = target.rotation.T
+    place = -jnp.sum(turned * target.position, axis=1)
+    return jnp.concatenate([turned, place[:, None]], axis=1)[..., None]
 
 
 def _turn(turns: jax.Array, frame: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The turns of frames against their poses: axis times sine, `[3 *batch]`, and cosine.
+    """The turns of frames `[3 4 S]` against the pose: axis times sine, `[3 S]`, and cosine.
 
     Where turns about one axis of the pose do not count, they are the shortest of that axis.
     """
@@ -101,7 +99,7 @@ def _turn(turns: jax.Array, frame: jax.Array) -> tuple[jax.Array, jax.Array]:
     whole = jnp.stack([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
     free = 1 - turns
     axis = jnp.sum(r * free, axis=1)
-    is_free = turns.min(axis=0) == 0
+    is_free = turns.min() == 0
     return (
         jnp.where(is_free, jnp.cross(free, axis, axis=0), whole),
         jnp.where(is_free, jnp.sum(free * axis, axis=0), (r[0, 0] + r[1, 1] + r[2, 2] - 1) / 2),
@@ -109,7 +107,7 @@ def _turn(turns: jax.Array, frame: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _solve(system: jax.Array, right: jax.Array) -> jax.Array:
-    """Solves symmetric, positive definite systems `[n n *batch]` by elimination; `[n *batch]`."""
+    """Solves symmetric, positive definite systems `[n n S]` by elimination; `[n S]`."""
     tops, left = [], jnp.concatenate([system, right[:, None]], axis=1)
     for _ in range(len(right)):
         top = left[0, 1:] / left[0, 0]
