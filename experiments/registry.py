@@ -11,6 +11,7 @@ from experiments import (
     figure7,
     guides,
     hard,
+    inverse_kinematics,
     motion_bench_maker,
     predictor,
     real_arm,
@@ -36,5 +37,6 @@ EXPERIMENTS: dict[str, Experiment] = {
         throughput,
         motion_bench_maker,
         real_arm,
+        inverse_kinematics,
     )
 }

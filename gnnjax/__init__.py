@@ -18,6 +18,8 @@ from gnnjax.planning.planner import Planner, load_planner, make_planner
 from gnnjax.planning.processes import PlannerProcesses
 from gnnjax.planning.query import Plan
 from gnnjax.planning.strategy import Strategy
+from gnnjax.pose.goal import PoseGoal
+from gnnjax.pose.inverse import Solutions, inverse_kinematics
 from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.labelled import Labels, label_roadmap
@@ -93,6 +95,7 @@ __all__ = [
     "Planner",
     "PlannerOptions",
     "PlannerProcesses",
+    "PoseGoal",
     "Prices",
     "Problem",
     "ProblemSet",
@@ -104,6 +107,7 @@ __all__ = [
     "SearchResult",
     "Setpoints",
     "Shape",
+    "Solutions",
     "Strategy",
     "Trace",
     "Trajectory",
@@ -125,6 +129,7 @@ __all__ = [
     "greedy_search",
     "half_space",
     "height_field",
+    "inverse_kinematics",
     "label_roadmap",
     "lazy_search",
     "load_network",

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -11,10 +12,11 @@ from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import own_planner
+from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
 from gnnjax.problems.moveit import problem_from_moveit
-from gnnjax.problems.problem import Problem
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
+from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.files import check_trajectory_file, save_trajectory
 from gnnjax.trajectory.options import MotionOptions, check_motion_options
 from gnnjax.trajectory.trajectory import check_step, sample_trajectory
@@ -34,6 +36,16 @@ class PlanConfig(PlannerOptions, MotionOptions):
     """Joint values, rad."""
     goal: tuple[float, ...] | None = None
     """Joint values, rad."""
+    goal_pose: tuple[float, float, float, float, float, float, float] | None = None
+    """In place of a goal: where a frame of the arm should be, x y z (m) and a quaternion w x y z,
+    in the frame of the arm's base."""
+    frame: str | None = None
+    """Of the goal pose: the site or body; by default the site "tool", or else the last body."""
+    free: tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...] = ()
+    """Of the goal pose: its own axes along which the place is free (x y z), and about which the
+    turn is (rx ry rz; one of these, or all)."""
+    tolerance: tuple[float, float] = (1e-4, 1e-3)
+    """Of the goal pose: how far from it is near enough, m and rad."""
     request: Path | None = None
     """MoveIt's motion plan request (.yaml), in place of start and goal."""
     robot: str = "kuka_iiwa14"
@@ -87,7 +99,8 @@ def main(config: PlanConfig) -> int:
             ) from None
         check_picture(config.image)
     print("compiling (the first run takes up to a minute, later ones seconds) and planning ...")
-    plan = planner.plan(scene, start, goal, seed=config.seed, trajectory=config if moves else False)
+    wanted = config if moves else False
+    plan = planner.plan(scene, start, **goal, seed=config.seed, trajectory=wanted)
     if not plan.success:
         print(plan.reason)
         return 1
@@ -132,21 +145,34 @@ def main(config: PlanConfig) -> int:
     return 0
 
 
-def _read(config: PlanConfig, robot: Robot) -> Problem:
-    """The problem that files and options say."""
-    given = config.start is not None, config.goal is not None
+def _read(config: PlanConfig, robot: Robot) -> tuple[np.ndarray, dict[str, Any], Scene]:
+    """Start, goal and scene that files and options say; the goal as an argument of a planner's."""
+    ends = [config.goal is not None, config.goal_pose is not None]
+    of_pose = config.frame, config.free, config.tolerance
+    if config.goal_pose is None and of_pose != (None, (), PlanConfig.tolerance):
+        raise InputError("--frame, --free and --tolerance are of a --goal-pose; give one, too")
     if config.request is None:
-        if not all(given):
-            raise InputError("a query needs --start and --goal, or a --request of MoveIt's")
-        start, goal = (np.array(q) for q in (config.start, config.goal))
-        return Problem(start, goal, read_scene(config.scene, robot))
-    if any(given):
+        if config.start is None or sum(ends) != 1:
+            raise InputError(
+                "a query needs --start and --goal, or a --request of MoveIt's; --goal-pose may "
+                "take the place of --goal"
+            )
+        scene, start = read_scene(config.scene, robot), np.array(config.start)
+        if config.goal_pose is None:
+            return start, {"goal": np.array(config.goal)}, scene
+        place, quat = config.goal_pose[:3], config.goal_pose[3:]
+        pose = PoseGoal(place, quat, config.free, config.tolerance, config.frame)
+        check_goal(pose)
+        tool_frame(robot, pose.frame)
+        return start, {"goal_pose": pose}, scene
+    if config.start is not None or any(ends):
         raise InputError("--request has a start and a goal; leave --start and --goal out")
     if config.scene.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(
             f"--request needs a planning scene of MoveIt (.yaml); --scene is {str(config.scene)!r}"
         )
-    return problem_from_moveit(config.scene, config.request, robot)
+    start, goal, scene = problem_from_moveit(config.scene, config.request, robot)
+    return start, {"goal": goal}, scene
 
 
 if __name__ == "__main__":

@@ -48,6 +48,7 @@ collision.fused collision.mjx collision.cloud collision.checker collision.sequen
 collision.obstacles collision.hulls collision.bounds collision.link_frames
 collision.gaps collision.certify
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
+pose.goal pose.chain pose.solver pose.inverse pose.reasons
 guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.camera
@@ -55,8 +56,9 @@ problems.structures problems.shelves problems.furniture problems.clutter problem
 problems.family_problem problems.labelled problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
 trajectory.clearance trajectory.timing trajectory.trajectory trajectory.files
-planning.options planning.query planning.progress planning.strategy
-planning.walks planning.guided planning.pool planning.shortening planning.shortcuts planning.trees
+planning.options planning.query planning.goals planning.motions planning.progress
+planning.strategy planning.walks planning.guided planning.pool planning.shortening
+planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.processes
 trajectory.control trajectory.simulate trajectory.execution
 training.weights training.checkpoint training.run

@@ -28,17 +28,20 @@ from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide
 from gnnjax.planning import strategy as strategies
 from gnnjax.planning.engine import Run
+from gnnjax.planning.goals import find_goals, plan_to_cheapest
 from gnnjax.planning.guided import Guided
+from gnnjax.planning.motions import motion_options, with_motions
 from gnnjax.planning.options import PlannerOptions, check_options, make_options
-from gnnjax.planning.query import Plan, QueryPlanner, check_query
+from gnnjax.planning.query import Plan, QueryPlanner
 from gnnjax.planning.strategy import Strategy
 from gnnjax.planning.walks import Compiled, Walks, compile_strategy
+from gnnjax.pose.goal import PoseGoal
+from gnnjax.pose.inverse import prepare
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import Scene, inflated, is_axis_aligned
 from gnnjax.search.greedy import Scorer
-from gnnjax.trajectory.options import MotionOptions, check_motion_options
-from gnnjax.trajectory.trajectory import find_motions
+from gnnjax.trajectory.options import MotionOptions
 
 # Of `load_planner`: ranks neighbors on one roadmap in one scene.
 MakeScorer = Callable[[Roadmap, Scene], Scorer]
@@ -167,26 +170,42 @@ class Planner(abc.ABC):
         self,
         scene: Scene,
         start: ArrayLike,
-        goal: ArrayLike,
+        goal: ArrayLike | None = None,
         *,
+        goals: ArrayLike | None = None,
+        goal_pose: PoseGoal | None = None,
         seed: int = 0,
         trajectory: bool | MotionOptions = False,
     ) -> Plan:
         """Finds a certified path from start to goal `[D]`, and the motion along it if wanted.
+
+        In place of a goal there may be several, `goals` `[G D]`, of which any will do, or the pose
+        of a frame of the arm. The eight nearest to the start are then tried, and the cheapest path
+        is taken; checks and times are those of all of them.
 
         With `trajectory`, `plan.trajectory` is the fastest motion along the path (`time_path`):
         within the limits of the model, or those given, and with the planner's margin all along the
         curve. It is None where there is no path, and tells why where there is no motion.
 
         Raises:
-            InputError: start or goal is no valid configuration, or a box stands in the base; limits
-                of a motion that are missing or not positive.
+            InputError: start or goal is no valid configuration, or no valid one reaches the pose; a
+                box stands in the base; limits of a motion that are missing or not positive.
         """
+        motion = motion_options(self.robot, trajectory)
+        margin, seed = self.options.margin, check_seed(seed)
+        if goal_pose is not None:
+            prepare(self.robot, goal_pose.frame)  # times hold no compilation
         begin = time.perf_counter()
-        start, goal = check_query(self.robot, scene, start, goal, self.options.margin)
+        start, ends = find_goals(self.robot, scene, start, goal, goals, goal_pose, margin, seed)
         checking = time.perf_counter() - begin
-        problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
-        plan = self.plan_batch(problems, seed=seed, trajectory=trajectory)[0]
+        scenes = jax.tree.map(lambda x: np.asarray(x)[None], scene)
+        thick = inflated(scenes, margin)
+
+        def attempt(end: np.ndarray, most: int | None) -> Plan:
+            return self._plan_batch(Problem(start[None], end[None], thick), seed, most)[0]
+
+        plan = plan_to_cheapest(attempt, start, ends, self.options.time_limit)
+        (plan,) = with_motions(self.robot, [plan], scenes, motion, margin)
         # What checking the query took belongs to it.
         return plan._replace(total_time_s=plan.total_time_s + checking)
 
@@ -203,19 +222,10 @@ class Planner(abc.ABC):
             seed: of the roadmaps; the same for each problem.
             trajectory: see `plan`.
         """
-        motion = MotionOptions() if trajectory is True else trajectory
-        if motion:  # refused before planning, if at all
-            check_motion_options(self.robot, motion)
-        scenes = inflated(problems.scene, self.options.margin)
+        motion, margin = motion_options(self.robot, trajectory), self.options.margin
+        scenes = inflated(problems.scene, margin)
         plans = self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
-        if motion:
-            solved = [i for i, plan in enumerate(plans) if plan.success]
-            own = jax.tree.map(lambda x: np.asarray(x)[solved], problems.scene)
-            paths, margin = [plans[i].path for i in solved], self.options.margin
-            found = find_motions(self.robot, own, paths, motion, margin, proven=True)
-            for i, each in zip(solved, found, strict=True):
-                plans[i] = plans[i]._replace(trajectory=each)
-        return plans
+        return with_motions(self.robot, plans, problems.scene, motion, margin)
 
     def clearance(self, scene: Scene, plan: Plan) -> float:
         """The distance [m] from obstacles that is proven along the whole of a plan's path, up to
@@ -229,8 +239,9 @@ class Planner(abc.ABC):
         return proven_clearance(self.robot, scene, plan.path)
 
     @abc.abstractmethod
-    def _plan_batch(self, problems: Problem, seed: int) -> list[Plan]:
-        """`plan_batch`, with obstacles that are as large as the margin makes them."""
+    def _plan_batch(self, problems: Problem, seed: int, most: int | None = None) -> list[Plan]:
+        """`plan_batch`, with obstacles that are as large as the margin makes them, and with no more
+        than `most` roadmaps."""
 
     @abc.abstractmethod
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
@@ -255,12 +266,14 @@ class GuidedPlanner(Planner):
 
     strategy: Guided
 
-    def _plan_batch(self, problems: Problem, seed: int) -> list[Plan]:
+    def _plan_batch(self, problems: Problem, seed: int, most: int | None = None) -> list[Plan]:
         shares = shares_of(len(problems.start))
 
         def plan(share: Share) -> list[Plan]:
             own = jax.tree.map(lambda x: np.asarray(x)[share.numbers], problems)
-            return self._run(own, seed, len(share.numbers), axis_aligned, len(shares)).run()
+            run = self._run(own, seed, len(share.numbers), axis_aligned, len(shares))
+            run.most_roadmaps = most
+            return run.run()
 
         # One rotated box in the batch, and all are taken for rotated.
         axis_aligned = is_axis_aligned(problems.scene)
@@ -293,8 +306,10 @@ class WalkPlanner(Planner):
 
     strategy: Strategy
 
-    def _plan_batch(self, problems: Problem, seed: int) -> list[Plan]:
-        return self._walks(problems, seed).run()
+    def _plan_batch(self, problems: Problem, seed: int, most: int | None = None) -> list[Plan]:
+        walks = self._walks(problems, seed)
+        walks.most_roadmaps = most
+        return walks.run()
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         self._walks(self._at_home(scene, batch_size), 0).warm_up()

@@ -16,6 +16,8 @@ from gnnjax.search.rounds import Route
 class Progress:
     """P problems: the shortest certified paths so far, checks, and times."""
 
+    most_roadmaps: int | None = None  # of a problem, with which it is given up; None: all
+
     def __init__(self, robot: Robot, problems: Problem, shares: int = 1):
         """Args:
         robot: the arm.
@@ -31,8 +33,10 @@ class Progress:
         self.planning_time, self.total_time = np.zeros((2, num))
 
     def open(self, time_limit: float) -> np.ndarray:
-        """Which problems have no path and time left, `[P]`."""
+        """Which problems have no path, time left and, if need be, roadmaps left, `[P]`."""
         unsolved = np.array([path is None for path in self.paths], bool)
+        if self.most_roadmaps is not None:
+            unsolved &= self.roadmaps < self.most_roadmaps
         return unsolved & (self.total_time <= time_limit)
 
     def spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
