@@ -36,8 +36,9 @@ from experiments.tables import cell, interval, markdown
 from experiments.turns import kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.guide.field import CALIBRATION, CELLS, SPACING, field_guide
+from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import make_options
-from gnnjax.planning.planner import Planner, own_planner
+from gnnjax.planning.planner import Planner
 from gnnjax.problems.labelled import generate_labelled, problem_keys
 from gnnjax.problems.problem import Problem
 from gnnjax.train_motion import area_under_curve, scene_sampler

@@ -33,8 +33,8 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, clearances
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import check_target
+from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import make_planner
 from gnnjax.planning.query import QueryPlanner
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene, scene_from_shapes, stack_scenes

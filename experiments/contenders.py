@@ -20,7 +20,8 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planning.planner import Planner, make_planner
+from gnnjax.planning.load import make_planner
+from gnnjax.planning.planner import Planner
 from gnnjax.planning.processes import PlannerProcesses
 from gnnjax.planning.query import Plan, QueryPlanner, check_queries
 from gnnjax.problems.problem import Problem

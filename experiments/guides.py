@@ -39,8 +39,8 @@ from experiments.tables import cell, listing, markdown, span
 from experiments.turns import kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError
+from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import make_options
-from gnnjax.planning.planner import own_planner
 from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems

@@ -16,7 +16,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.planning.planner import make_planner
+from gnnjax.planning.load import make_planner
 from gnnjax.problems.shards import load_problems
 
 SEEDS = (0, 1, 2)

@@ -39,7 +39,7 @@ from experiments.tables import cell, interval, markdown
 from experiments.turns import kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planning.planner import make_planner
+from gnnjax.planning.load import make_planner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems

@@ -13,8 +13,9 @@ from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.guide.motion import MotionNetwork, motion_guide
+from gnnjax.planning.load import load_planner, make_planner
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import Planner, load_planner, make_planner
+from gnnjax.planning.planner import Planner
 from gnnjax.planning.processes import PlannerProcesses
 from gnnjax.planning.query import Plan
 from gnnjax.planning.strategy import Strategy

@@ -27,8 +27,9 @@ from gnnjax.measure.machine import describe_machine
 from gnnjax.measure.rows import ROW, make_row, straight_line_blocked, within
 from gnnjax.measure.statistics import summarize
 from gnnjax.measure.table import print_summary
+from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import Planner, make_planner
+from gnnjax.planning.planner import Planner
 from gnnjax.planning.processes import LEAST_SHARE, PlannerProcesses
 from gnnjax.planning.query import Plan, QueryPlanner, check_queries
 from gnnjax.problems.problem import ProblemSet

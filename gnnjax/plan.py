@@ -10,8 +10,8 @@ import tyro
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_target
+from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import own_planner
 from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
 from gnnjax.problems.moveit import problem_from_moveit
 from gnnjax.scene.any_file import read_scene

@@ -10,8 +10,8 @@ import pytest
 from jaxtyping import _decorator
 
 from gnnjax.arm import covers
+from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import make_planner
 
 # Nearly all of the tests' time is compilation. Commands that tests start read this in their
 # environment.

@@ -14,7 +14,7 @@ from experiments.ablation import EXPERIMENT
 from experiments.record import run
 from experiments.variants import AblationConfig, command, training, variants
 from gnnjax.paper.network import GuidanceNetwork
-from gnnjax.planning.planner import load_planner
+from gnnjax.planning.load import load_planner
 from gnnjax.train import PRESETS, train
 from gnnjax.training.weights import save_network
 

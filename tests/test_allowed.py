@@ -17,8 +17,8 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.errors import InputError
+from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import make_options
-from gnnjax.planning.planner import own_planner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet

@@ -19,8 +19,9 @@ from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.measure.rows import within
+from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
-from gnnjax.planning.planner import Planner, make_planner
+from gnnjax.planning.planner import Planner
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
 

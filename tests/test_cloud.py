@@ -16,7 +16,7 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.collision.spheres import BLOCKED
 from gnnjax.errors import InputError
-from gnnjax.planning.planner import load_planner
+from gnnjax.planning.load import load_planner
 from gnnjax.problems.file import load_file, save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.cloud import (

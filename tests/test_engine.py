@@ -16,8 +16,8 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.clock import Clock
 from gnnjax.errors import InputError
 from gnnjax.planning.engine import Run
+from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
-from gnnjax.planning.planner import make_planner
 from tests.test_guided_planner import check_path, one, random_problem, same
 
 NUM = 16  # scenes, and their shares, fill one padded number: kernels are compiled once

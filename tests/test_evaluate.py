@@ -18,7 +18,8 @@ from gnnjax.files import locked
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.measure.statistics import summarize
 from gnnjax.measure.table import print_summary
-from gnnjax.planning.planner import GuidedPlanner, make_planner
+from gnnjax.planning.load import make_planner
+from gnnjax.planning.planner import GuidedPlanner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.shards import load_problems

@@ -33,7 +33,7 @@ from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import generate
 from gnnjax.guide.motion import MotionNetwork
 from gnnjax.measure.rows import QUANTITIES
-from gnnjax.planning.planner import load_planner
+from gnnjax.planning.load import load_planner
 from gnnjax.problems.families import FAMILIES
 from gnnjax.training.weights import save_network
 

@@ -14,7 +14,7 @@ from gnnjax.errors import InputError
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.planning.goals import plan_to_cheapest
-from gnnjax.planning.planner import load_planner
+from gnnjax.planning.load import load_planner
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import make_plan, path_length
 from gnnjax.pose.goal import PoseGoal

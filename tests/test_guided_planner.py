@@ -21,8 +21,9 @@ from gnnjax.guide.motion import MotionNetwork, motion_guide
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.planning.engine import Run
+from gnnjax.planning.load import load_planner, make_planner
 from gnnjax.planning.options import PlannerOptions, make_options
-from gnnjax.planning.planner import Planner, load_planner, make_planner
+from gnnjax.planning.planner import Planner
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import default_slots, node_bucket
 from gnnjax.roadmap.stored import insert_ends, stored_roadmap

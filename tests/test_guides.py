@@ -18,8 +18,8 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import configuration_clearance
 from gnnjax.collision.checker import make_checker
 from gnnjax.errors import InputError
+from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import check_options
-from gnnjax.planning.planner import load_planner
 from gnnjax.problems.families import BOX_FAMILIES
 from tests.fine_scan import random_scene
 from tests.test_throughput import StandIn

@@ -13,7 +13,7 @@ from gnnjax.errors import InputError
 from gnnjax.guide.guide import Prices
 from gnnjax.guide.motion import SPACING, MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
-from gnnjax.planning.planner import load_planner
+from gnnjax.planning.load import load_planner
 from gnnjax.scene.scene import make_scene
 from gnnjax.training.weights import load_network, save_network
 

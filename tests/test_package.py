@@ -59,7 +59,7 @@ trajectory.clearance trajectory.timing trajectory.trajectory trajectory.files
 planning.options planning.query planning.goals planning.motions planning.progress
 planning.strategy planning.walks planning.guided planning.pool planning.shortening
 planning.shortcuts planning.trees
-planning.attempts planning.engine planning.planner planning.processes
+planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.execution
 training.weights training.checkpoint training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
@@ -70,9 +70,9 @@ generate paper.losses train train_motion evaluate plot video plan plot_execution
 # Imported up the list, inside of functions: by name, when somebody asks for it.
 LAZY = {
     ("arm.robot", "scene.holding"),
-    ("planning.planner", "training.weights"),
-    ("planning.planner", "paper"),
-    ("planning.planner", "baselines.ompl"),
+    ("planning.load", "training.weights"),
+    ("planning.load", "paper"),
+    ("planning.load", "baselines.ompl"),
     ("training.weights", "training.checkpoint"),
 }
 

@@ -20,8 +20,8 @@ from gnnjax.paper.strategy import gnn
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.planning import planner as planners
+from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import load_planner
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.scene.scene import make_scene, stack_scenes

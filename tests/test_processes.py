@@ -14,8 +14,8 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.guide.field import field_guide
+from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
-from gnnjax.planning.planner import make_planner
 from gnnjax.planning.processes import PlannerProcesses
 from tests.test_guided_planner import random_problem, same
 

@@ -14,7 +14,7 @@ from experiments.record import run
 from experiments.registry import EXPERIMENTS
 from experiments.statistics import proportion
 from gnnjax.arm.robot import load_robot
-from gnnjax.planning.planner import load_planner
+from gnnjax.planning.load import load_planner
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.scene import make_scene

@@ -23,7 +23,7 @@ from gnnjax.generate import GenerateConfig, generate
 from gnnjax.paper.graphs import edge_bucket
 from gnnjax.paper.losses import graph_losses, step_targets, walk_losses
 from gnnjax.paper.network import GuidanceNetwork
-from gnnjax.planning.planner import load_planner
+from gnnjax.planning.load import load_planner
 from gnnjax.problems.labelled import from_problem_set
 from gnnjax.problems.shards import load_problems
 from gnnjax.roadmap.graph import GOAL

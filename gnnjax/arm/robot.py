@@ -90,8 +90,7 @@ class Robot:
     notes: tuple[str, ...]  # what was decided where the file leaves it open
 
     def __getstate__(self) -> dict[str, Any]:
-        """What another process gets: all but the spec, which cannot be sent, and which nothing
-        needs but MuJoCo's worlds and `attach`."""
+        """What another process gets: all but the spec, which only MuJoCo's worlds need."""
         return {name: value for name, value in vars(self).items() if name != "mj_spec"}
 
     @property

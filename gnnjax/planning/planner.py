@@ -3,8 +3,6 @@
 import abc
 import functools
 import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,122 +10,29 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import proven_clearance
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.sequences import SequenceTester
 from gnnjax.devices import (
     Share,
-    cache_compilations,
-    run_where_called,
     shares_of,
     side_by_side,
 )
 from gnnjax.errors import InputError, check_seed
-from gnnjax.guide.field import field_guide
-from gnnjax.guide.guide import Guide
-from gnnjax.planning import strategy as strategies
 from gnnjax.planning.engine import Run
 from gnnjax.planning.goals import find_goals, plan_to_cheapest
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.motions import motion_options, with_motions
-from gnnjax.planning.options import PlannerOptions, check_options, make_options
-from gnnjax.planning.query import Plan, QueryPlanner
+from gnnjax.planning.options import PlannerOptions, check_options
+from gnnjax.planning.query import Plan
 from gnnjax.planning.strategy import Strategy
 from gnnjax.planning.walks import Compiled, Walks, compile_strategy
 from gnnjax.pose.goal import PoseGoal
 from gnnjax.pose.inverse import prepare
 from gnnjax.problems.problem import Problem
-from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import Scene, inflated, is_axis_aligned
-from gnnjax.search.greedy import Scorer
 from gnnjax.trajectory.options import MotionOptions
-
-# Of `load_planner`: ranks neighbors on one roadmap in one scene.
-MakeScorer = Callable[[Roadmap, Scene], Scorer]
-
-
-def load_planner(
-    robot: str | Path,
-    planner: str = "guided",
-    *,
-    guide: Guide | None = None,
-    scorer: MakeScorer | None = None,
-    **options: Any,
-) -> "Planner":
-    """Loads a robot, and weights where they are needed, and makes a planner on roadmaps.
-
-    Args:
-        robot: name of a shipped robot, or path of an MJCF.
-        planner: one of `PLANNERS`, but for OMPL's, which `evaluate` makes.
-        guide: for "guided": your own, in place of the distance field.
-        scorer: for "greedy": `(roadmap, scene) -> Scorer`.
-        options: see `PlannerOptions`: num_nodes, max_roadmaps, effort, weights, shorten, sampled,
-            checker, resolution, margin, time_limit.
-
-    Raises:
-        InputError: an unknown robot, planner or option, or options that do not fit the planner.
-    """
-    return own_planner(load_robot(robot), make_options(planner, **options), guide, scorer)
-
-
-def own_planner(
-    robot: Robot,
-    options: PlannerOptions,
-    guide: Guide | None = None,
-    scorer: MakeScorer | None = None,
-) -> "Planner":
-    """`make_planner` for all but OMPL's, whose paths nobody certifies before they are returned."""
-    made = make_planner(robot, options, guide, scorer)
-    if not isinstance(made, Planner):
-        raise InputError(
-            f"planner {options.planner!r} is one of OMPL's; python -m gnnjax.evaluate takes it"
-        )
-    return made
-
-
-def make_planner(
-    robot: Robot,
-    options: PlannerOptions,
-    guide: Guide | None = None,
-    scorer: MakeScorer | None = None,
-) -> QueryPlanner:
-    """The planner that options name; see `load_planner`."""
-    check_options(options)
-    cache_compilations()  # before a guide compiles
-    run_where_called()
-    name = options.planner
-    if guide is not None and name != "guided":
-        raise InputError(f"a guide with planner {name!r}; only planner 'guided' takes one")
-    if (scorer is not None) != (name == "greedy"):
-        raise InputError(
-            f"planner {name!r} with scorer {scorer}; planner 'greedy' takes one, and only that"
-        )
-    if options.is_classical:
-        from gnnjax.baselines.ompl import ClassicalPlanner
-
-        return ClassicalPlanner(robot, options)
-    if name == "guided":
-        strategy = Guided(robot, guide or _guide(robot, options), options)
-        return GuidedPlanner(robot, strategy, options, {"guide": guide})
-    if name in ("gnn", "gnn_lazy"):
-        from gnnjax.paper import strategy as paper
-
-        return WalkPlanner(robot, paper.from_weights(robot, options), options)
-    if scorer is not None:
-        strategy = strategies.greedy(robot, options, scorer)
-        return WalkPlanner(robot, strategy, options, {"scorer": scorer})
-    return WalkPlanner(robot, getattr(strategies, name)(robot, options), options)
-
-
-def _guide(robot: Robot, options: PlannerOptions) -> Guide:
-    """The distance field, or the motion network whose weights the options name."""
-    if options.weights is None:
-        return field_guide(robot)
-    from gnnjax.guide.motion import MotionNetwork, motion_guide
-    from gnnjax.training.weights import load_network_as
-
-    return motion_guide(robot, load_network_as(MotionNetwork, options.weights, "guided"))
 
 
 class Planner(abc.ABC):

@@ -20,7 +20,8 @@ import numpy as np
 
 from gnnjax.devices import num_cores
 from gnnjax.errors import InputError, is_out_of_memory
-from gnnjax.planning.planner import Planner, make_planner
+from gnnjax.planning.load import make_planner
+from gnnjax.planning.planner import Planner
 from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene

@@ -51,9 +51,8 @@ class Cloud(NamedTuple):
     radius: Float[Array, "*batch"]  # m
     lower: Float[Array, "*batch 3"]  # m, the first node
     cells: Float[Array, "*batch 3"]  # m, between neighbouring nodes
-    squared: Float[
-        Array, "*batch V"
-    ]  # m^2, from each node to the nearest point; the last axis is z
+    # m^2, from each node to the nearest point; the last axis is z
+    squared: Float[Array, "*batch V"]
 
 
 def point_cloud(
