@@ -172,7 +172,7 @@ def _read(config: PlanConfig, robot: Robot) -> tuple[np.ndarray, dict[str, Any],
             f"--request needs a planning scene of MoveIt (.yaml); --scene is {str(config.scene)!r}"
         )
     start, goal, scene = problem_from_moveit(config.scene, config.request, robot)
-    return start, {"goal": goal}, scene
+    return np.asarray(start), {"goal": goal}, scene
 
 
 if __name__ == "__main__":
