@@ -48,13 +48,18 @@ def random_paths(robot, number, seed=0):
 
 def most_used(robot, limits, trajectory):
     """The largest share of limits that a motion uses, on a grid ten times denser than its own."""
-    times = trajectory.timing.times
+    times = (trajectory.profile or trajectory.timing).times
     parts = np.arange(10)[:, None] / 10
     fine = np.append((times[:-1] + parts * np.diff(times)).T.ravel(), times[-1])
     found = states(robot, trajectory, np.unique(fine))
     used = [found.velocities / limits.velocity, found.accelerations / limits.acceleration]
     if limits.torque is not None:
         used.append(found.torques / limits.torque)
+    if limits.jerk is not None:
+        steps = np.diff(found.times)
+        far = steps > 1e-7
+        leaps = np.diff(found.accelerations, axis=0)[far] / steps[far, None]
+        used.append(leaps / limits.jerk)
     return max(np.abs(x).max() for x in used)
 
 
@@ -69,6 +74,44 @@ def test_limits_hold_between_grid_points_and_one_is_always_reached(free, torque,
     assert max(shares) < 1.001
     assert min(shares) > 0.98
     assert [x.stops for x in found] == [0 if blend else len(path) - 2 for path in paths]
+
+
+@pytest.mark.parametrize(("blend", "jerk"), [(0.0, [60, 40, 90]), (0.4, [60, 40, 90]), (0.4, 900)])
+def test_jerk_is_limited_and_all_else_too(free, blend, jerk):
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES, jerk=jerk)
+    paths = [path[:4] for path in random_paths(free, 4)]
+    found = time_paths(free, NOTHING, paths, **limits._asdict(), blend=blend)
+    assert all(x.success for x in found), [x.reason for x in found]
+    shares = [most_used(free, limits, x) for x in found]
+    assert max(shares) < 1.001
+    assert min(shares) > 0.95
+    longer = [x.duration / x.timing.times[-1] for x in found]
+    assert 1 < min(longer)
+    assert max(longer) < (1.6 if jerk != 900 else 1.05)
+
+
+def test_a_straight_line_with_jerk_takes_as_long_as_the_closed_form(tiny):
+    way = 2.5
+    direction = np.array([0.6, 0.5, -0.3])
+    path, jerk = np.array([[0.0, 0.0, 0.0], way * direction]), np.array(PUSHES) * 10
+    limits = {"velocity": SPEEDS, "acceleration": PUSHES, "jerk": jerk}
+    found = time_path(tiny, NOTHING, path, **limits)
+    speed, push, leap = (np.min(x / np.abs(direction)) for x in (SPEEDS, PUSHES, jerk))
+    assert found.duration == pytest.approx(trapezoid(way, speed, push) + push / leap, rel=3e-3)
+    points = sample_trajectory(tiny, found, 0.01)
+    np.testing.assert_allclose(points.positions[[0, -1]], path, atol=1e-9)
+    np.testing.assert_allclose(points.accelerations[[0, -1]], 0, atol=1e-6)
+
+
+def test_an_arm_that_only_swings_past_a_place_is_too_weak_for_little_jerk(tiny):
+    path = np.array([[0.0, 0.7, 0.0], [0.0, -0.7, 0.0]])
+    needed = np.abs(inverse_dynamics_by_mujoco(tiny, np.zeros((1, 3)), *np.zeros((2, 1, 3))))[0, 1]
+    limits = {"velocity": 9.0, "acceleration": 40.0, "torque": [50, 0.97 * needed, 50]}
+    assert time_path(tiny, NOTHING, path, **limits).success
+    found = time_path(tiny, NOTHING, path, **limits, jerk=1.0)
+    assert not found.success
+    assert found.duration == np.inf
+    assert found.reason.startswith("slow enough for the limits of jerk, joint b needs")
 
 
 def test_limits_hold_for_a_shipped_arm():
@@ -216,7 +259,9 @@ def test_the_clearance_of_a_curve_is_that_of_a_scan(free):
 
 @pytest.mark.parametrize("path", [np.zeros((1, 3)), np.zeros((4, 3))])
 def test_a_path_that_stays_takes_no_time(tiny, path):
-    found = time_path(tiny, NOTHING, path, velocity=1.0, acceleration=1.0, torque=50.0)
+    limits = {"velocity": 1.0, "acceleration": 1.0, "torque": 50.0}
+    assert time_path(tiny, NOTHING, path, **limits, jerk=9.0).duration == 0
+    found = time_path(tiny, NOTHING, path, **limits)
     assert found.success
     assert found.duration == 0
     points = sample_trajectory(tiny, found, 0.01)
@@ -280,6 +325,7 @@ def test_an_arm_too_weak_on_its_way_is_told_where(tiny):
         ({"velocity": 1, "acceleration": [1, -1, 1]}, "acceleration limits of tiny are"),
         ({"velocity": 1, "acceleration": np.nan}, "acceleration limits of tiny are nan"),
         ({"velocity": 1, "acceleration": 1, "torque": np.inf}, "torque limits of tiny are inf"),
+        ({"velocity": 1, "acceleration": 1, "jerk": 0}, "jerk limits of tiny are 0; give one"),
         ({"velocity": 1, "acceleration": "much"}, "acceleration limits of tiny are 'much'"),
         ({"velocity": 1, "acceleration": 1, "blend": -1.0}, "blend is -1.0; give a length"),
     ],

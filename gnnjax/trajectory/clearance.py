@@ -2,17 +2,36 @@
 
 from collections.abc import Callable
 
+import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import certify_edges
 from gnnjax.scene.scene import Scene, inflated
 from gnnjax.trajectory.curve import blend_chords, straight_pieces
+from gnnjax.trajectory.smooth import Smoothed
 
 _CHORDS = 16  # of a blend, even: what curves stray from these is a millimetre at most, an arm's
 # length away
 _MILLIMETER = 1e-3  # m; how finely distances are looked for
 MOST = 0.25  # m, beyond which none is looked for
+
+
+def clearances_of(robot: Robot, scene: Scene, paths: list[Smoothed]) -> list[dict[str, float]]:
+    """`clearance_before` and `clearance` [m] of P paths, as they were and rounded; 0 where they are
+    not certified. In one scene or in P scenes `[P, M, ...]`, one each."""
+    found = []
+    for i, (path, blends, certified) in enumerate(paths):
+        several = np.ndim(scene.mask) == 2
+        own = jax.tree.map(lambda x, i=i: x[i], scene) if several else scene
+        each = {"clearance_before": np.zeros_like(blends), "clearance": blends}
+        found.append(
+            {
+                name: curve_clearance(robot, own, path, wide) if certified else 0.0
+                for name, wide in each.items()
+            }
+        )
+    return found
 
 
 def curve_clearance(robot: Robot, scene: Scene, path: np.ndarray, blends: np.ndarray) -> float:

@@ -145,6 +145,16 @@ def places(curve: Curve, at: Float[Array | np.ndarray, " P"]) -> Places:
     )
 
 
+def thirds(curve: Curve, at: Float[Array | np.ndarray, " P"]) -> Float[Array | np.ndarray, "P D"]:
+    """Third derivatives of one curve by s at grid indices; they leap at the ends of blends."""
+    xp = at.__array_namespace__()
+    span = xp.maximum(curve.exits - curve.entries, 1)
+    w = (at[:, None] - curve.entries) / span
+    inside = (w >= 0) & (w <= 1) & (curve.blends > 0)
+    width = xp.where(curve.blends > 0, 2 * curve.blends, 1.0)
+    return xp.where(inside, 6 * (1 - 2 * w) / width**2, 0.0) @ curve.turns
+
+
 def straight_pieces(path: np.ndarray, blends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Ends `[E D]` twice of what is left between blends `[L - 2]` of a path without repetitions;
     of a single configuration, that twice."""

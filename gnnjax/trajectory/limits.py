@@ -17,6 +17,7 @@ class Limits(NamedTuple):
     velocity: np.ndarray  # [D] rad/s or m/s
     acceleration: np.ndarray  # [D] rad/s^2 or m/s^2
     torque: np.ndarray | None  # [D] N m or N; None: whatever it takes
+    jerk: np.ndarray | None = None  # [D] rad/s^3 or m/s^3; None: any
 
 
 _REMEDIES = {
@@ -31,20 +32,21 @@ def limits_of(
     velocity: Amounts | None = None,
     acceleration: Amounts | None = None,
     torque: Amounts | None = None,
+    jerk: Amounts | None = None,
 ) -> Limits:
     """The limits that an arm's model has, but for those that are given: a number a joint, or one
     for all.
 
-    Torques are not limited where neither the model nor an argument does so.
+    Torques are not limited where neither the model nor an argument does so, nor is jerk.
 
     Raises:
         InputError: a limit that is not positive, or too many of them; no velocities, or no
             accelerations.
     """
-    given = {"velocity": velocity, "acceleration": acceleration, "torque": torque}
+    given = {"velocity": velocity, "acceleration": acceleration, "torque": torque, "jerk": jerk}
     found = {}
     for name, values in given.items():
-        own = getattr(robot, f"{name}_limit")
+        own = None if name == "jerk" else getattr(robot, f"{name}_limit")  # which models lack
         found[name] = _positive(robot, name, values) if values is not None else own
         if found[name] is None and name in _REMEDIES:
             raise InputError(

@@ -28,6 +28,8 @@ class MotionOptions:
     """Of the motion: limits likewise, rad/s^2 (or m/s^2)."""
     torque: _Given = None
     """Of the motion: limits likewise, N m (or N); none where the model has none either."""
+    jerk: _Given = None
+    """Of the motion: limits likewise, rad/s^3 (or m/s^3); none by default."""
     blend: float = 1.0
     """Of the motion: how much of an edge a rounded corner takes at most, rad (or m); 0: it stops at
     corners."""
@@ -62,4 +64,5 @@ def check_motion_options(robot: Robot, options: MotionOptions) -> Limits:
         velocity=options.velocity,
         acceleration=options.acceleration,
         torque=options.torque,
+        jerk=options.jerk,
     )

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from gnnjax.arm.robot import Robot
-from gnnjax.trajectory.curve import Curve, Places, places
+from gnnjax.trajectory.curve import Curve, Places, places, thirds
 from gnnjax.trajectory.dynamics import path_dynamics
 from gnnjax.trajectory.limits import Limits
 
@@ -53,6 +53,11 @@ def fastest(robot: Robot, limits: Limits, curve: Curve) -> Timing:
     low, high = _alone(rows)
     high = jnp.where(curve.stops == 1, 0.0, jnp.append(high, jnp.inf))
     low = jnp.maximum(jnp.append(low, 0.0), 0.0)
+    if limits.jerk is not None:  # what a steady speed has of it, in blends alone
+        at = jnp.arange(len(high), dtype=high.dtype)
+        thrice = jnp.stack([thirds(curve, at + side) for side in (-1e-6, 1e-6)])
+        most = (jnp.abs(thrice) / limits.jerk).max(axis=(0, 2))
+        high = jnp.minimum(high, most ** (-2 / 3))  # infinite without
     return _passes(rows, steps, low, high)
 
 

@@ -14,9 +14,10 @@ from gnnjax.clock import Clock
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene, inflated
-from gnnjax.trajectory.clearance import curve_clearance
+from gnnjax.trajectory.clearance import clearances_of
 from gnnjax.trajectory.curve import Curve, make_curve, places, size_of, stray
 from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
+from gnnjax.trajectory.jerk import Profile, limit_jerk
 from gnnjax.trajectory.limits import Limits
 from gnnjax.trajectory.options import MotionOptions, check_motion_options, make_motion_options
 from gnnjax.trajectory.smooth import Smoothed, smooth_paths
@@ -52,7 +53,8 @@ class Trajectory(NamedTuple):
     stops: int  # corners that could not be rounded, at which it rests
     time_s: float  # that it took to find, shared equally by a batch; no compilation
     curve: Curve
-    timing: Timing
+    timing: Timing  # the fastest motion without limits of jerk
+    profile: Profile | None  # the motion itself, where jerk is limited
 
 
 def time_path(
@@ -76,7 +78,7 @@ def time_path(
         margin: clearance from obstacles that the curve keeps, m.
         proven: the path is certified already, with that margin, as those of plans are. Then only
             what is rounded is certified, which takes a fraction of the time.
-        options: see `MotionOptions`: velocity, acceleration, torque, blend, clearance.
+        options: see `MotionOptions`: velocity, acceleration, torque, jerk, blend, clearance.
 
     Raises:
         InputError: no such path or option; limits that are missing or not positive; an arm whose
@@ -126,14 +128,8 @@ def find_motions(
         _trajectory(robot, limits, *each) for each in zip(smoothed, curves, timings, strict=True)
     ]
     if options.clearance:
-        several = np.ndim(scene.mask) == 2
-        for i, (path, blends, certified) in enumerate(smoothed):
-            own = jax.tree.map(lambda x, i=i: x[i], scene) if several else scene
-            before, after = (
-                curve_clearance(robot, own, path, x) if certified else 0.0
-                for x in (np.zeros_like(blends), blends)
-            )
-            found[i] = found[i]._replace(clearance_before=before, clearance=after)
+        kept = clearances_of(robot, scene, smoothed)
+        found = [motion._replace(**each) for motion, each in zip(found, kept, strict=True)]
     each = (clock.now() - begin) / len(found)
     return [motion._replace(time_s=each) for motion in found]
 
@@ -155,24 +151,36 @@ def sample_trajectory(robot: Robot, trajectory: Trajectory, dt: float) -> Setpoi
 
 def states(robot: Robot, trajectory: Trajectory, times: np.ndarray) -> Setpoints:
     """States of a motion at times `[T]` from 0 to its duration."""
-    curve, timing = trajectory.curve, trajectory.timing
+    curve, profile = trajectory.curve, trajectory.profile
+    if profile is None:
+        at, speed, push = _places_at(curve, trajectory.timing, times)
+    else:
+        way, speed, push = profile.at(times)
+        at = np.interp(way, curve.grid, np.arange(len(curve.grid)))
+    speed = np.maximum(speed, 0.0)[:, None]
+    place = places(curve, at)
+    positions = np.asarray(place.q)
+    velocities = place.slope * speed
+    accelerations = place.slope * push[:, None] + place.bend * speed**2
+    torques = inverse_dynamics_by_mujoco(robot, positions, velocities, accelerations)
+    return Setpoints(times, positions, velocities, accelerations, torques)
+
+
+def _places_at(
+    curve: Curve, timing: Timing, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grid indices, speeds and pushes `[T]` of the fastest motion."""
     steps = np.diff(curve.grid)
     # Intervals of no length take no time, and none begins at a time that another one has.
     interval = np.searchsorted(timing.times, times, side="right") - 1
     last = np.flatnonzero(steps > 0)[-1] if (steps > 0).any() else 0
     interval = np.minimum(interval, last)
     since = times - timing.times[interval]
-    begin, u = np.sqrt(timing.x[interval]), timing.u[interval]
+    begin, u = np.sqrt(timing.x[interval]), np.asarray(timing.u[interval])
     step = steps[interval]
     way = np.clip(begin * since + u * since**2 / 2, 0.0, step)
     at = interval + np.divide(way, step, out=np.zeros_like(way), where=step > 0)
-    speed = np.maximum(begin + u * since, 0.0)[:, None]
-    place = places(curve, at)
-    positions = np.asarray(place.q)
-    velocities = place.slope * speed
-    accelerations = place.slope * u[:, None] + place.bend * speed**2
-    torques = inverse_dynamics_by_mujoco(robot, positions, velocities, accelerations)
-    return Setpoints(times, positions, velocities, accelerations, torques)
+    return at, begin + u * since, u
 
 
 def check_step(dt: float) -> None:
@@ -201,6 +209,8 @@ def _timed(robot: Robot, limits: Limits, curves: list[Curve], clock: Clock) -> l
     cache_compilations()
     alone, together = _compiled(robot)
     found: list[Any] = [None] * len(curves)
+    if limits.jerk is None:  # the same program
+        limits = limits._replace(jerk=np.full(robot.num_dof, np.inf))
     # Single precision loses what cancels where a row hardly depends on u.
     with jax.enable_x64(True):
         if jax.default_backend() == "cpu":  # whose caches hold the rows of one curve
@@ -229,18 +239,25 @@ def _compiled(robot: Robot) -> tuple[Callable, Callable]:
 def _trajectory(
     robot: Robot, limits: Limits, smooth: Smoothed, curve: Curve, timing: Timing
 ) -> Trajectory:
-    reason = ""
+    reason, duration, profile = "", float(timing.times[-1]), None
     if not smooth.certified:
         reason = "the path is not certified free of collisions; plan another one"
     elif timing.failed_at >= 0:
         reason = _reason(robot, limits, curve, int(timing.failed_at))
+    elif limits.jerk is not None:
+        profile = limit_jerk(robot, limits, curve, timing)
+        if profile is None:
+            weakest = _reason(robot, limits, curve, *range(len(curve.grid)))
+            reason = f"slow enough for the limits of jerk, {weakest}"
+        else:
+            duration = float(profile.times[-1])
     path = smooth.path
     before = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     fine = places(curve, np.arange(0, len(curve.grid) - 0.875, 0.125)).q
     return Trajectory(
         success=not reason,
         reason=reason,
-        duration=np.inf if reason else float(timing.times[-1]),
+        duration=np.inf if reason else duration,
         certified=smooth.certified,
         cost_before=before,
         cost=float(np.linalg.norm(np.diff(fine, axis=0), axis=1).sum()),
@@ -251,14 +268,15 @@ def _trajectory(
         time_s=0.0,
         curve=curve,
         timing=timing,
+        profile=profile,
     )
 
 
-def _reason(robot: Robot, limits: Limits, curve: Curve, point: int) -> str:
-    """Why nothing leads on from a grid point of a curve, or why the arm cannot even rest."""
+def _reason(robot: Robot, limits: Limits, curve: Curve, *points: int) -> str:
+    """Why nothing leads on from grid points of a curve, or why the arm cannot even rest."""
     assert limits.torque is not None  # without torques, rest is always allowed
     last = len(curve.grid) - 1
-    at = np.append(np.flatnonzero(curve.stops), point)  # the start comes first
+    at = np.append(np.flatnonzero(curve.stops), points)  # the start comes first
     place = places(curve, at.astype(float))
     still = np.zeros_like(place.q)
     needed = np.abs(inverse_dynamics_by_mujoco(robot, place.q, still, still))
