@@ -118,8 +118,12 @@ def _stretch(
     if needs is None:
         return profile
     # Torques were read between points of the grid; here they are what they are.
-    at, *motion = _samples(curve, profile, first, last)
-    exact = _torque_factor(limits, _needs(robot, curve, at), *motion)
+    at, speed, push, _ = _samples(curve, profile, first, last)
+    place, v, a = places(curve, at), speed[:, None], push[:, None]
+    moved = place.q, place.slope * v, place.slope * a + place.bend * v**2
+    if (np.abs(inverse_dynamics_by_mujoco(robot, *moved)) <= limits.torque).all():
+        return profile
+    exact = _torque_factor(limits, _needs(robot, curve, at), speed, push)
     return profile.slowed(max(1.0, exact)) if np.isfinite(exact) else None
 
 
@@ -205,9 +209,7 @@ def _factor(
     return max(1.0, *(float(x) for x in factors))
 
 
-def _torque_factor(
-    limits: Limits, needs: _Needs, speed: np.ndarray, push: np.ndarray, *_: np.ndarray
-) -> float:
+def _torque_factor(limits: Limits, needs: _Needs, speed: np.ndarray, push: np.ndarray) -> float:
     """The least f >= 0 from which on torques, `rest + linear / f + square / f^2`, keep limits."""
     v, a = speed[:, None], push[:, None]
     rest, linear = needs.rest + np.sign(v) * needs.dry, needs.damping * v
