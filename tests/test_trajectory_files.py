@@ -180,6 +180,7 @@ def test_the_command_says_why_there_is_no_motion(tiny_path, tmp_path, capsys):
         ({"velocity": (1.0,), "trajectory": "motion.npz"}, "tiny has no acceleration limits"),
         ({**LIMITS, "video": "motion.avi"}, "has the ending '.avi'; give .gif or .mp4"),
         ({**LIMITS, "trajectory": "motion.npz", "dt": 0.0}, "dt is 0.0; give a step"),
+        ({**LIMITS, "trajectory": "motion.npz", "jerk": (-1.0,)}, "jerk limits of tiny are"),
         ({**LIMITS, "trajectory": "motion.npz", "blend": -1.0}, "blend is -1.0; give a length"),
     ],
 )
