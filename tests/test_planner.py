@@ -19,6 +19,7 @@ from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.paper.strategy import gnn
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
+from gnnjax.planning import motions
 from gnnjax.planning import planner as planners
 from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import PlannerOptions
@@ -94,7 +95,7 @@ def test_plans_come_with_their_motions(tiny_path, monkeypatch):
 
     seen = []
     monkeypatch.setattr(trajectories, "fastest", slow)
-    monkeypatch.setattr(planners, "find_motions", seeing)
+    monkeypatch.setattr(motions, "find_motions", seeing)
     planner = load_planner(tiny_path, "lazysp", num_nodes=60, margin=0.02)
     scenes = [random_scene(np.random.default_rng(2)), make_scene([[0, 0, 0]], [[0.4, 0.4, 3]])]
     starts, goals = np.array([[0.5, 1, 0]] * 2, "f4"), np.array([[-2, -1, 1]] * 2, "f4")
