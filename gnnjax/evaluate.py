@@ -20,7 +20,7 @@ import numpy as np
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gnnjax.arm.robot import load_robot
+from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, brief, check_seed, is_out_of_memory, run_command
 from gnnjax.files import atomic_write, check_target, locked
 from gnnjax.measure.machine import describe_machine
@@ -34,6 +34,7 @@ from gnnjax.planning.processes import LEAST_SHARE, PlannerProcesses
 from gnnjax.planning.query import Plan, QueryPlanner, check_queries
 from gnnjax.problems.problem import ProblemSet
 from gnnjax.problems.shards import load_problems
+from gnnjax.scene.holding import attach_from_json
 
 # Of the result files; raised when what they hold changes its meaning.
 FORMAT = 2
@@ -51,6 +52,8 @@ class EvaluateConfig(PlannerOptions):
     """Where results go; goes on with what is there if it has the same settings."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
+    attach: Path | None = None
+    """JSON file with what the arm holds, as for gnnjax.plan."""
     num_problems: int | None = None
     """Only the first so many problems."""
     batch_size: int = 1
@@ -79,7 +82,7 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     _check_processes(config)
     check_seed(config.seed)
     check_target(config.json)
-    planner = planner or make_planner(load_robot(config.robot), config)
+    planner = planner or make_planner(_arm(config), config)
     problems = load_problems(config.problems, planner.robot).take(slice(config.num_problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     del settings["json"]
@@ -107,6 +110,11 @@ def _check_processes(config: EvaluateConfig) -> None:
             f"processes is {num} with batch_size {config.batch_size}; they share out a batch, "
             f"which needs at least {LEAST_SHARE} problems for each of them"
         )
+
+
+def _arm(config: EvaluateConfig) -> Robot:
+    robot = load_robot(config.robot)
+    return robot if config.attach is None else attach_from_json(robot, config.attach)
 
 
 def _evaluate(

@@ -13,6 +13,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -120,19 +121,20 @@ def is_leftover(name: str) -> bool:
     return re.fullmatch(r"\..*(\.part-[a-z0-9_]{8}(\..*)?|\.lock)", name) is not None
 
 
-def read_arrays(
-    path: Path,
-    file: str = "problem file",
-    content: str = "a problem set",
-    remedy: str = "generate it again",
-) -> dict[str, np.ndarray]:
+class FileKind(NamedTuple):
+    """How messages speak of a kind of files."""
+
+    name: str  # what one is called
+    content: str  # what it should hold
+    remedy: str  # what to do about one that does not
+
+
+def read_arrays(path: Path, kind: FileKind) -> dict[str, np.ndarray]:
     """Reads all arrays of a file, an `.npz` without pickles.
 
     Args:
         path: of the file.
-        file: how messages call it; likewise what it should hold, and what to do about another one.
-        content: see there.
-        remedy: see there.
+        kind: for messages.
 
     Raises:
         InputError: no such file, or something in it is no array.
@@ -148,16 +150,16 @@ def read_arrays(
                     raise ValueError("it is there twice")
                 arrays[name] = _read_array(archive, entry)
     except FileNotFoundError:
-        raise InputError(f"no {file} {str(path)!r}; check the path") from None
+        raise InputError(f"no {kind.name} {str(path)!r}; check the path") from None
     except IsADirectoryError:
-        raise InputError(f"{file} {str(path)!r} is a folder; check the path") from None
+        raise InputError(f"{kind.name} {str(path)!r} is a folder; check the path") from None
     except (PermissionError, MemoryError):
         raise
     except Exception as error:  # damaged archives raise nearly anything
         part = "" if name is None else f"array {name!r} of "
         raise InputError(
-            f"{part}{str(path)!r} cannot be read as {content} (.npz without pickles): "
-            f"{error}; {remedy}"
+            f"{part}{str(path)!r} cannot be read as {kind.content} (.npz without pickles): "
+            f"{error}; {kind.remedy}"
         ) from None
     return arrays
 

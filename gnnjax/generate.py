@@ -3,6 +3,8 @@
 python -m gnnjax.generate --split train   # the paper's 3,000 problems, roadmaps and labels
 python -m gnnjax.generate --split test    # the paper's 300 test problems
 python -m gnnjax.generate --split test --family shelf   # harder ones
+python -m gnnjax.generate --split test --family upright --robot franka_panda \
+    --attach examples/bottle.json
 """
 
 import contextlib
@@ -39,6 +41,7 @@ from gnnjax.problems.shards import (
     read_manifest,
     save_shard,
 )
+from gnnjax.scene.holding import attach_from_json
 
 _ORIGIN = "generated"  # array of a single file that says what the manifest says of a folder
 
@@ -54,6 +57,8 @@ class GenerateConfig:
     """Kind of scenes: the paper's boxes, or structures that leave little room."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF."""
+    attach: Path | None = None
+    """JSON file with what the arm holds, as for gnnjax.plan."""
     num_problems: int | None = None
     """Problems; by default 3,000 for train, 100 for validation and 300 for test."""
     num_nodes: int | None = None
@@ -72,6 +77,8 @@ class GenerateConfig:
 def generate(config: GenerateConfig) -> Path:
     """Draws what is missing of a set, shard by shard, and returns where it is."""
     robot = load_robot(config.robot)
+    if config.attach is not None:
+        robot = attach_from_json(robot, config.attach)
     num = SPLITS[config.split][1] if config.num_problems is None else config.num_problems
     nodes = (0 if config.split == "test" else 200) if config.num_nodes is None else config.num_nodes
     if num < 1 or config.shard_size < 1:

@@ -539,6 +539,9 @@ def test_other_bad_input_is_refused_or_warned_of(tmp_path):
     (tmp_path / "a.pcd").write_bytes(b"FIELDS x y z\nPOINTS 1\nDATA binary_compressed\n")
     with pytest.raises(InputError, match="is binary_compressed; save it as ascii or binary"):
         points_from_file(tmp_path / "a.pcd")
+    (tmp_path / "a.npz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"a.npz' cannot be read as points .*; save it anew by"):
+        points_from_file(tmp_path / "a.npz")
     (tmp_path / "a.txt").write_text("0 0 0")
     with pytest.raises(InputError, match="is none of"):
         points_from_file(tmp_path / "a.txt")

@@ -24,8 +24,9 @@ from gnnjax.problems.family_problem import arm_reach, sample_family_problem
 from gnnjax.problems.labelled import problem_keys
 from gnnjax.problems.shards import load_problems, read_manifest
 from gnnjax.scene.cloud import Balls, cloud_of, lookup, make_cloud, squared_distance_to
+from gnnjax.scene.mujoco_world import deepest_contact
 from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned, make_scene
-from gnnjax.scene.shapes import KINDS, kind_of
+from gnnjax.scene.shapes import KINDS, cylinder, kind_of
 
 NUM_BOXES = {
     "shelf": (6, 8),
@@ -36,12 +37,34 @@ NUM_BOXES = {
     "cans": (6, 31),
     "pipes": (8, 14),
     "cloud_shelf": (0, 0),
+    "upright": (6, 8),
 }
 KINDS_OF = {
     "cans": {KINDS.index("box"), KINDS.index("cylinder")},
     "pipes": {KINDS.index("capsule"), KINDS.index("cylinder")},
     "cloud_shelf": set(),
 }
+
+# An arm that holds things upright unless its last joint turns.
+LIFT = """
+<mujoco model="lift">
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    <geom type="sphere" size="0.05" contype="1" conaffinity="1"/>
+    <body name="mast">
+      <joint name="up" type="slide" axis="0 0 1" range="-0.5 0.5"/>
+      <joint name="a" axis="0 0 1" range="-3 3"/>
+      <geom type="sphere" size="0.04" pos="0.2 0 0" mass="1"/>
+      <body name="lower" pos="0.4 0 0">
+        <joint name="b" axis="0 0 1" range="-2.5 2.5"/>
+        <joint name="c" axis="1 0 0" range="-0.5 0.5"/>
+        <geom type="sphere" size="0.04" pos="0.15 0 0" mass="1"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+BOTTLE = cylinder([0.3, 0, 0], radius=0.03, half_length=0.06)
 
 
 @functools.cache
@@ -54,8 +77,12 @@ def many_scenes(family):
 def sampler(path, family):
     """A robot, and the function that draws a problem of a family for it."""
     robot = load_robot(path)
+    if family == "upright":
+        path = path.with_name("lift.xml")
+        path.write_text(LIFT)
+        robot = load_robot(path).attach("lower", [BOTTLE])
     check = make_checker(robot).check_configurations
-    clear = functools.partial(boxes_clear, robot, q=jnp.zeros(3), base_only=True)
+    clear = functools.partial(boxes_clear, robot, q=jnp.zeros(robot.num_dof), base_only=True)
     draw = functools.partial(
         sample_family_problem,
         family=family,
@@ -71,6 +98,13 @@ def tip_by_mujoco(robot, q):
     data.qpos[:] = q
     mujoco.mj_kinematics(robot.mj_model, data)
     return data.geom_xpos[robot.geom_ids[-1]]  # the tiny arm's last body has one geom
+
+
+def axis_by_mujoco(robot, q):
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return data.geom_xmat[robot.geom_ids[-1]].reshape(3, 3)[:, 2]
 
 
 def inside(region, point):
@@ -106,9 +140,14 @@ def test_problems_are_valid_and_the_tip_is_where_it_should_be(tiny_path, family)
         assert found
         assert not np.array_equal(problem.start, problem.goal)
         for q, region in ((problem.start, first), (problem.goal, last)):
-            assert configuration_clearance(robot, problem.scene, q) > 0
+            if family == "upright":  # spheres around a cylinder stand out of it
+                assert deepest_contact(robot, problem.scene, q) is None
+            else:
+                assert configuration_clearance(robot, problem.scene, q) > 0
             assert ((q >= robot.joint_lower) & (q <= robot.joint_upper)).all()
             assert inside(region, tip_by_mujoco(robot, q)).all()
+            if family == "upright":
+                assert np.degrees(np.arccos(axis_by_mujoco(robot, q)[2])) < 11.5
         for one, again in zip(jax.tree.leaves(drawn), jax.tree.leaves(draw(key)), strict=True):
             np.testing.assert_array_equal(one, again)
 
@@ -258,6 +297,8 @@ def test_an_arm_that_a_family_does_not_fit_and_an_unknown_family_are_named(tiny_
     robot = load_robot(tiny_path)
     with pytest.raises(InputError, match=r"no family 'shelves'; there are .*'paper', 'shelf'"):
         labelled.generate_labelled(robot, 0, family="shelves")
+    with pytest.raises(InputError, match="tiny holds nothing to be upright; "):
+        labelled.generate_labelled(robot, 0, family="upright")(problem_keys(0, "test", 0, 2, "bin"))
     with pytest.raises(SystemExit):
         tyro.cli(GenerateConfig, args=["--family", "shelves"])
     monkeypatch.setattr(family_problem, "_MAX_SCENES", 0)

@@ -16,7 +16,7 @@ import numpy as np
 from gnnjax.arm.fit import Cover, fit_covers
 from gnnjax.arm.parts import Part
 from gnnjax.errors import InputError
-from gnnjax.files import atomic_write, cache_folder, read_arrays
+from gnnjax.files import FileKind, atomic_write, cache_folder, read_arrays
 
 _LOG = logging.getLogger(__name__)
 
@@ -27,6 +27,7 @@ _MOST_OF_ALL, _MOST_EACH = (
     3,
 )  # spheres of an arm, or of its parts in the mean, if these are many
 _SAME = 1e-6  # m; by which hulls that are taken for the same may differ
+_SPHERES = FileKind("file of spheres", "those of an arm", "remove that file")
 _VERSION = 1  # of the fit; covers of another one are fitted anew
 
 
@@ -109,7 +110,7 @@ def _read_cover(file: Path | None, parts: Sequence[Part]) -> list[Cover]:
     """The covers in a file, or none where there is none or it is of other parts."""
     if file is None or not file.is_file():
         return []
-    arrays, covers = read_arrays(file), []
+    arrays, covers = read_arrays(file, _SPHERES), []
     for part in parts:
         table, hull = arrays.get(part.name), arrays.get(f"{part.name}/hull")
         expected = _summary(part)

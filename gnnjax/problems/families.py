@@ -1,5 +1,5 @@
-"""Families of scenes that are hard on purpose: shelf, table, window, clutter, bin, cans, pipes, and
-a shelf as a depth camera sees it.
+"""Families of scenes that are hard on purpose: shelf, table, window, clutter, bin, cans, pipes,
+a shelf as a depth camera sees it, and one for a bottle that is held upright.
 
 A family draws a scene and the two regions in which the arm's tip starts and ends, see
 `structures.py`.
@@ -9,10 +9,10 @@ from typing import Literal, TypeAlias
 
 from gnnjax.problems.clutter import draw_clutter, draw_pipes
 from gnnjax.problems.furniture import draw_bin, draw_table, draw_window
-from gnnjax.problems.shelves import draw_cans, draw_cloud_shelf, draw_shelf
+from gnnjax.problems.shelves import draw_cans, draw_cloud_shelf, draw_shelf, draw_upright
 
 FamilyName: TypeAlias = Literal[
-    "shelf", "table", "window", "clutter", "bin", "cans", "pipes", "cloud_shelf"
+    "shelf", "table", "window", "clutter", "bin", "cans", "pipes", "cloud_shelf", "upright"
 ]
 
 FAMILIES = {
@@ -25,5 +25,6 @@ FAMILIES = {
     "cans": draw_cans,
     "pipes": draw_pipes,
     "cloud_shelf": draw_cloud_shelf,
+    "upright": draw_upright,
 }
 BOX_FAMILIES = ("shelf", "table", "window", "clutter", "bin")  # what the motion network learns from

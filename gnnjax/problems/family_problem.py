@@ -11,16 +11,20 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.kinematics import forward_kinematics
+from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.structures import FamilyScene, Region
+from gnnjax.scene.allowed import held_bodies
 from gnnjax.scene.cloud import cloud_of
 from gnnjax.scene.scene import Scene, rotation_matrices
 
 # Configurations drawn at once, of which the first so many with the tip in place are tested.
 _BLOCK, _TESTED = 4096, 256
 _MAX_BLOCKS = 12  # for either end, before the scene is drawn again
+_UPRIGHT = 8  # times as many are drawn, and as fewer tested, where things are held upright
 _MAX_SCENES = 100
 # Of the balls around what a camera sees, in units of the reach: half of what its pixels are apart.
 _SEEN_RADIUS = 0.02
@@ -58,7 +62,7 @@ def sample_family_problem(
     Args:
         key: randomness.
         family: a key of `FAMILIES`.
-        robot: the arm.
+        robot: the arm; for "upright", one that holds something.
         check_configurations: of a `Checker` for rotated boxes.
         boxes_clear: tells for each box whether the geoms that no joint moves are clear of it.
     """
@@ -71,7 +75,7 @@ def sample_family_problem(
 
         def find_end(wanted, end):
             end_key, region = end
-            q, found = _find_tip_in(end_key, region, robot, check, wanted)
+            q, found = _find_tip_in(end_key, region, drawn.tilt, robot, check, wanted)
             return found, q
 
         # A loop over both ends, so that the collision check is compiled once.
@@ -91,11 +95,29 @@ def sample_family_problem(
 
 
 def tip_positions(robot: Robot, q: Float[Array, "*batch D"]) -> Float[Array, "*batch 3"]:
-    """The arm's tip [m]: the middle of the last body's spheres, or of all fingers'."""
+    """The arm's tip [m]: the middle of the last body's spheres, or of all fingers'; of an arm that
+    holds something, that of what it took last."""
     body, point = _tip(robot)
     positions, rotations = forward_kinematics(robot, q)
     turned = jnp.sum(rotations[..., body, :, :] * jnp.asarray(point, q.dtype), axis=-1)
     return positions[..., body, :] + turned
+
+
+def held_upright(robot: Robot, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
+    """The cosine of the angle between the vertical and the z axis of what the arm holds.
+
+    Raises:
+        InputError: it holds nothing.
+    """
+    held = held_bodies(robot)
+    if not held:
+        raise InputError(
+            f"{robot.name} holds nothing to be upright; robot.attach(...), or --attach"
+        )
+    first = next(p for p, part in enumerate(robot.parts) if part.body == held[-1])
+    axis = quat_to_matrix(robot.mj_model.geom_quat[robot.part_geom_ids[first]])[:, 2]
+    _, rotations = forward_kinematics(robot, q)
+    return jnp.sum(rotations[..., held[-1], 2, :] * jnp.asarray(axis, q.dtype), axis=-1)
 
 
 def in_region(region: Region, points: Float[Array, "*batch 3"]) -> Bool[Array, "*batch"]:
@@ -124,7 +146,9 @@ def arm_reach(robot: Robot) -> Reach:
 
 
 def _tip(robot: Robot) -> tuple[int, np.ndarray]:
-    """The last body, and where the tip is in its frame `[3]`, m."""
+    """The body that has the tip, and where this is in its frame `[3]`, m."""
+    if held := held_bodies(robot):
+        return held[-1], robot.geom_centers[robot.geom_bodies == held[-1]].mean(axis=0)
     last = int(robot.geom_bodies.max())
     end, points = robot.bodies[last], []
     for center, b in zip(robot.geom_centers, robot.geom_bodies.tolist(), strict=True):
@@ -159,18 +183,22 @@ def _scaled(drawn: FamilyScene, reach: Reach) -> FamilyScene:
     if drawn.seen is not None:
         points = center + reach.radius * drawn.seen
         scene = scene._replace(cloud=cloud_of(points, _SEEN_RADIUS * reach.radius))
-    return FamilyScene(scene, region(drawn.start), region(drawn.goal))
+    return FamilyScene(scene, region(drawn.start), region(drawn.goal), tilt=drawn.tilt)
 
 
 def _find_tip_in(
     key: jax.Array,
     region: Region,
+    tilt: jax.Array | None,
     robot: Robot,
     check: Callable[[jax.Array], jax.Array],
     wanted: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """The first valid configuration with the tip in a region, and whether there is one."""
     lower, upper = robot.drawn_lower, robot.drawn_upper
+    block, most_tested = _BLOCK, _TESTED
+    if tilt is not None:
+        block, most_tested = block * _UPRIGHT, most_tested // _UPRIGHT
 
     def unfinished(state):
         blocks, _, found = state
@@ -179,12 +207,14 @@ def _find_tip_in(
     def draw_block(state):
         blocks, *_ = state
         block_key = jax.random.fold_in(key, blocks)
-        q = jax.random.uniform(block_key, (_BLOCK, len(lower)), minval=lower, maxval=upper)
+        q = jax.random.uniform(block_key, (block, len(lower)), minval=lower, maxval=upper)
         # Kinematics are cheap and regions small: few of the draws go on to the collision check.
         inside = in_region(region, tip_positions(robot, q))
-        rows = jnp.nonzero(inside, size=_TESTED, fill_value=_BLOCK)[0]
-        tested = q[jnp.minimum(rows, _BLOCK - 1)]
-        valid = check(tested) & (rows < _BLOCK)
+        if tilt is not None:
+            inside &= held_upright(robot, q) > jnp.cos(tilt)
+        rows = jnp.nonzero(inside, size=most_tested, fill_value=block)[0]
+        tested = q[jnp.minimum(rows, block - 1)]
+        valid = check(tested) & (rows < block)
         return blocks + 1, tested[jnp.argmax(valid)], jnp.any(valid)
 
     nothing = jnp.zeros(len(lower), jnp.float32)

@@ -7,7 +7,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
-from gnnjax.files import atomic_write, read_arrays
+from gnnjax.files import FileKind, atomic_write, read_arrays
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.allowed import refuse_allowed
 from gnnjax.scene.cloud import MOST_METERS, Balls, make_cloud
@@ -24,6 +24,7 @@ from gnnjax.scene.shapes import (
     sums_of,
 )
 
+_PROBLEMS = FileKind("problem file", "a problem set", "generate it again")
 _NAMES = ("robot", "start", "goal")
 # Arrays of a problem file for the obstacles of each kind, by what they hold; and their number.
 _ROUND = ("centers", "radii", "half_lengths", "quats")
@@ -119,7 +120,7 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
 
 
 def load_file(path: Path, robot: Robot) -> ProblemSet:
-    arrays = read_arrays(path)
+    arrays = read_arrays(path, _PROBLEMS)
     missing = [name for name in _NEEDED if name not in arrays]
     if missing:
         raise InputError(f"problem file {str(path)!r} lacks {missing}; it needs {list(_NEEDED)}")

@@ -21,6 +21,8 @@ from gnnjax.problems.structures import (
     unit,
 )
 
+_TILT = 0.2  # rad, at which a bottle that is not full spills nothing
+
 
 def draw_shelf(key: jax.Array) -> FamilyScene:
     """An upright shelf of 2 to 6 compartments; the tip goes from one to another, or comes out."""
@@ -127,6 +129,14 @@ def draw_cans(key: jax.Array) -> FamilyScene:
     outside = region_between(pose, [-FAR, -FAR, -FAR], [-0.1, FAR, FAR])
     goal = choose(jax.random.bernoulli(outside_key, 0.3), outside, gap(second))
     return FamilyScene(joined(furniture, bodies, necks), *swapped(swap_key, gap(first), goal))
+
+
+def draw_upright(key: jax.Array) -> FamilyScene:
+    """The shelf, for an arm that holds a bottle, which is upright at start and goal.
+
+    On the way it may tilt: paths have no constraints here.
+    """
+    return draw_shelf(key)._replace(tilt=jnp.float32(_TILT))
 
 
 def draw_cloud_shelf(key: jax.Array) -> FamilyScene:

@@ -34,6 +34,8 @@ class FamilyScene(NamedTuple):
     goal: Region
     # What a depth camera sees, and then stands for the scene; rays that hit nothing are NaN.
     seen: Float[Array, "*batch K 3"] | None = None
+    # rad; how far what the arm holds may be from upright at start and goal. None: it holds nothing.
+    tilt: Float[Array, "*batch"] | None = None
 
 
 class Pose(NamedTuple):

@@ -60,10 +60,15 @@ def _body(robot: Robot, name: str) -> int:
     known = [body.name for body in robot.bodies]
     if name in known and name:
         return known.index(name)
-    held = [i for i, x in enumerate(known) if x.startswith(f"{_HELD}_")]
+    held = held_bodies(robot)
     if name == _HELD and len(held) == 1:
         return held[0]
     raise InputError(f"no body {name!r} in {robot.name} to touch an obstacle; there are {known}")
+
+
+def held_bodies(robot: Robot) -> list[int]:
+    """Indices of the bodies that the arm holds, in the order in which they were attached."""
+    return [i for i, body in enumerate(robot.bodies) if body.name.startswith(f"{_HELD}_")]
 
 
 def arm_key(robot: Robot) -> np.uint32:

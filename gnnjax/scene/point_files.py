@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from gnnjax.errors import InputError
-from gnnjax.files import read_arrays
+from gnnjax.files import FileKind, read_arrays
 
+_ARRAYS = FileKind("file of points", "points", "save it anew by numpy.savez")
 _TYPES = {"F": "f", "U": "u", "I": "i"}  # of PCD's numbers, as NumPy calls them
 
 
@@ -32,7 +33,7 @@ def points_from_file(path: str | Path) -> np.ndarray:
         except (ValueError, OSError, EOFError) as error:
             raise InputError(f"{called} cannot be read ({error}); save it by numpy.save") from None
     elif ending == ".npz":
-        arrays = read_arrays(file)
+        arrays = read_arrays(file, _ARRAYS)
         if "points" not in arrays and len(arrays) != 1:
             raise InputError(f"{called} holds {sorted(arrays)}; name one of these `points`")
         points = arrays.get("points", next(iter(arrays.values())))

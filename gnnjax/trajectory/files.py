@@ -10,7 +10,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
-from gnnjax.files import atomic_write, check_target, read_arrays
+from gnnjax.files import FileKind, atomic_write, check_target, read_arrays
 from gnnjax.scene.scene_file import read_json
 from gnnjax.trajectory.trajectory import Setpoints, Trajectory, sample_trajectory
 
@@ -127,7 +127,7 @@ def _npz(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
 
 
 def _from_npz(path: Path) -> _Read:
-    arrays = read_arrays(path, "trajectory file", "a motion", _AGAIN)
+    arrays = read_arrays(path, FileKind("trajectory file", "a motion", _AGAIN))
     points = Setpoints(*(np.asarray(arrays[name], float) for name in Setpoints._fields))
     return _Read(str(arrays["robot"]), arrays["joint_names"].tolist(), points)
 
