@@ -25,9 +25,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.measure import ExperimentConfig
-from experiments.real_arm import proportion
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
+from experiments.statistics import proportion
 from experiments.tables import markdown
 from experiments.turns import kept
 from gnnjax.arm.robot import Robot, load_robot

@@ -148,7 +148,7 @@ def test_what_stands_in_the_way_of_a_pose_is_named(planner):
     ):
         planner.plan(free, START, goal_pose=PoseGoal([2.0, 0, 0], [1.0, 0, 0, 0], free=TURNS))
     where = place(robot, [1.0, 0.5, 0.0])
-    with pytest.raises(InputError, match=r"turned as it likes it comes to 0\.0 mm"):
+    with pytest.raises(InputError, match=r"if it may turn freely, it comes to 0\.0 mm"):
         planner.plan(free, START, goal_pose=PoseGoal(where, [0.0, 1.0, 0, 0]))
     pose = PoseGoal(place(robot, [0.0, 0.0, 0.0]), [1.0, 0, 0, 0], free=TURNS)
     with pytest.raises(

@@ -147,6 +147,12 @@ def motions_that_swing(results):
         row["suitable"] = row["accepted"] // 2
 
 
+def poses_that_are_not_reached(results):
+    for row in results["rows"]:
+        if row["solver"] == "gnnjax":
+            row["share"]["mean"] = 0.99
+
+
 @pytest.mark.parametrize(
     ("name", "change", "before", "after"),
     [
@@ -155,6 +161,12 @@ def motions_that_swing(results):
             some_unsolved,
             "Holds: 140 of 140 problems have both ends free; 140 of these 140 are solved",
             "What does not hold: 137 of these 140 are solved",
+        ),
+        (
+            "inverse_kinematics",
+            poses_that_are_not_reached,
+            "Holds: kuka_iiwa14: 100.0 % in",
+            "Does not hold: kuka_iiwa14: 99.0 % in",
         ),
         ("real_arm", motions_that_swing, "Holds: kuka", "Does not hold: kuka_iiwa14: 50.0 ("),
         ("throughput", slow_in_a_pool, "Holds: ", "does not hold: all accepted problems: guided"),

@@ -31,7 +31,7 @@ def why_none(
 
 
 def _limits(robot: Robot, tool: str, goal: PoseGoal, found: Solutions) -> str:
-    nearest = _away(found)
+    away = f"{1e3 * found.position_error[0]:.1f} mm and {found.rotation_error[0]:.3f} rad"
     stops = [
         f"{name} at its limit of {value:.4g}"
         for name, value, low, high in zip(
@@ -44,15 +44,11 @@ def _limits(robot: Robot, tool: str, goal: PoseGoal, found: Solutions) -> str:
     if not set(turns) <= set(goal.free):
         free = [*goal.free, *(axis for axis in turns if axis not in goal.free)]
         alone = inverse_kinematics(robot, goal._replace(free=free), near=found.q[0])
-        there += f"; turned as it likes it comes to {1e3 * alone.position_error[0]:.1f} mm"
+        there += f"; if it may turn freely, it comes to {1e3 * alone.position_error[0]:.1f} mm"
     return (
-        f"{tool} does not reach the pose: at the nearest it is {nearest} away, with {there}; "
+        f"{tool} does not reach the pose: at the nearest it is {away} away, with {there}; "
         "choose a pose within reach, free an axis, or allow more tolerance"
     )
-
-
-def _away(found: Solutions) -> str:
-    return f"{1e3 * found.position_error[0]:.1f} mm and {found.rotation_error[0]:.3f} rad"
 
 
 def _contacts(robot: Robot, tool: str, scene: Scene, reached: np.ndarray, margin: float) -> str:
