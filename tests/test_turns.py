@@ -85,14 +85,14 @@ def test_roadmaps_are_those_of_the_arm_that_turns_once(wide, narrow):
 
 
 @pytest.mark.parametrize("planner", ["guided", "lazysp"])
-def test_paths_cost_what_they_do_for_the_arm_that_turns_once(wide, narrow, planner):
+def test_paths_cost_what_they_do_for_the_arm_that_turns_once(wide, narrow, planner, planner_once):
     options = PlannerOptions(planner=planner, num_nodes=60, max_roadmaps=2)
     problems = problems_of(narrow, narrow.joint_lower, narrow.joint_upper, 60)
     line = certify_edges(narrow, problems.scene, problems.start, problems.goal, np.arange(60))
     problems = jax.tree.map(lambda x: x[~line], problems)
     costs = []
     for robot in (wide, narrow):
-        plans = make_planner(robot, options).plan_batch(problems)
+        plans = planner_once(robot, options).plan_batch(problems)
         costs.append(np.array([plan.cost for plan in plans]))
     both = np.isfinite(costs).all(axis=0)
     assert both.sum() >= 12
@@ -103,13 +103,13 @@ def test_paths_cost_what_they_do_for_the_arm_that_turns_once(wide, narrow, plann
 
 
 @pytest.mark.parametrize("planner", ["guided", "lazysp"])
-def test_ends_in_other_turns_are_reached_as_they_are(wide, planner):
+def test_ends_in_other_turns_are_reached_as_they_are(wide, planner, planner_once):
     options = PlannerOptions(planner=planner, num_nodes=60, max_roadmaps=2)
     problems = problems_of(wide, wide.joint_lower, wide.joint_upper, 12, seed=1)
     beyond = np.abs(np.concatenate([problems.start, problems.goal])).max(axis=1) > np.pi
     assert beyond.sum() > 12
     solved = 0
-    for i, plan in enumerate(make_planner(wide, options).plan_batch(problems)):
+    for i, plan in enumerate(planner_once(wide, options).plan_batch(problems)):
         if plan.success:
             solved += 1
             np.testing.assert_array_equal(plan.path[0], problems.start[i])

@@ -1,0 +1,21 @@
+"""Configurations and boxes drawn at random, of tests in several files."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gnnjax.scene.scene import make_scene
+
+
+def random_configurations(rng, robot, num):
+    """`[num, D]` float32 within the joint limits, which rounding must not leave."""
+    q = rng.uniform(robot.joint_lower, robot.joint_upper, (num, robot.num_dof))
+    return np.clip(q.astype(np.float32), robot.joint_lower, robot.joint_upper)
+
+
+def random_boxes(rng, num, *, rotated=True, reach=0.9):
+    """A scene of boxes of 0.1 to 0.5 m, on the device."""
+    centers = rng.uniform(-reach, reach, (num, 3))
+    quats = rng.normal(size=(num, 4)) if rotated else None
+    scene = make_scene(centers, rng.uniform(0.05, 0.25, (num, 3)), quats)
+    return jax.tree.map(jnp.asarray, scene)
