@@ -6,7 +6,6 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, certify_path, clearances
-from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import default_radius

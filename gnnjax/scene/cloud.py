@@ -51,8 +51,7 @@ class Cloud(NamedTuple):
     radius: Float[Array, "*batch"]  # m
     lower: Float[Array, "*batch 3"]  # m, the first node
     cells: Float[Array, "*batch 3"]  # m, between neighbouring nodes
-    # m^2, from each node to the nearest point; the last axis is z
-    squared: Float[Array, "*batch V"]
+    squared: Float[Array, "*batch V"]  # m^2, from nodes to the nearest point; the last axis is z
 
 
 def point_cloud(
