@@ -123,7 +123,7 @@ def all_at_once(robot: Robot, poses: PoseGoal) -> list[Row]:
 def by_mink(robot: Robot, poses: PoseGoal) -> list[Row]:
     """mink, with restarts."""
     try:
-        import mink
+        import mink  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise InputError(f"no mink ({error}); pip install 'gnnjax[experiments]'") from None
     configuration = mink.Configuration(robot.mj_model)
