@@ -10,6 +10,8 @@ import functools
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from experiments.commands import command_line
 from experiments.statistics import column, statistics, summarize_seeds
 from gnnjax.arm.robot import load_robot
@@ -122,9 +124,12 @@ def _run_seed(case: EvaluateConfig, seed: int, runs: Path) -> dict[str, Any]:
     return evaluate(case, _planner(settings))
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1)
 def _planner(settings: EvaluateConfig) -> Any:
     """One planner for all seeds and sets, so that it is compiled once."""
+    # All that ever was compiled for earlier ones would stay in memory, piece by piece, until the
+    # system has no pieces left.
+    jax.clear_caches()
     return make_planner(load_robot(settings.robot), settings)
 
 

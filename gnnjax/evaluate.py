@@ -21,6 +21,7 @@ import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.collision.bounds import compile_certificates
 from gnnjax.errors import InputError, brief, check_seed, is_out_of_memory, run_command
 from gnnjax.files import atomic_write, check_target, locked
 from gnnjax.measure.machine import describe_machine
@@ -162,6 +163,7 @@ def _plan_missing(
     with Progress(*columns, TimeRemainingColumn()) as progress:
         task = progress.add_task("compiling", total=num, completed=len(rows))
         progress.console.print("compiling; the first time that takes up to a minute")
+        compile_certificates(planner.robot)
         blocked = straight_line_blocked(planner.robot, config.checker, asked)
         written = time.monotonic()
         while len(rows) < num:

@@ -172,3 +172,11 @@ class Spheres:
 @functools.cache
 def spheres_of(robot: Robot) -> Spheres:
     return Spheres(robot)
+
+
+@functools.cache
+def compile_certificates(robot: Robot) -> None:
+    """Compiles what certificates and clearances of an arm need, which is no time of a query."""
+    body = spheres_of(robot)
+    if (body.slack > 0).any():  # or spheres are all that is looked at
+        body.hulls.compile()

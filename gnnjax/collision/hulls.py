@@ -31,6 +31,13 @@ class Hulls:
         self._to_obstacles = jax.jit(convex.separate_obstacles)
         self._to_parts = jax.jit(convex.separate_parts)
 
+    def compile(self) -> None:
+        """Compiles what looks for planes."""
+        part, three, one = np.zeros(1, int), np.zeros((3, 1)), np.zeros(1)
+        nothing = part, three, np.zeros((3, 3, 1))
+        self._look(self._to_obstacles, *nothing, convex.Obstacles(three, one, one))
+        self._look(self._to_parts, *nothing, part, three, one)
+
     def from_obstacles(
         self,
         part: np.ndarray,

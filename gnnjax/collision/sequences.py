@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.clock import Clock
 from gnnjax.collision.checker import Checker, bisection_order, most_intervals
 from gnnjax.collision.exact import PartTests
 from gnnjax.collision.spheres import BLOCKED, ITSELF, OBSTACLE_BITS
@@ -97,14 +98,18 @@ class SequenceTester:
                 )
                 jax.block_until_ready((apart, self._second.clear_of_itself(rows, owner > 0)))
 
-    def __call__(self, placed: PlacedScenes, items: Items, num: int) -> Outcome:
+    def __call__(
+        self, placed: PlacedScenes, items: Items, num: int, clock: Clock | None = None
+    ) -> Outcome:
         """Tests what is asked for.
 
         Args:
             placed: from `place`.
             items: what to test.
             num: S; sequences without items hold.
+            clock: that stands still while something is compiled.
         """
+        clock = clock or Clock()
         low, high, intervals, points = self._cut(items)
         total = np.bincount(items.sequence, weights=points, minlength=num).astype(int)
         begin = np.cumsum(points) - points  # of an item, over all sequences
@@ -123,7 +128,7 @@ class SequenceTester:
             point = self._order[intervals[item], at - begin[item]]
             fraction = (point / intervals[item]).astype(np.float32)[:, None]
             q = low[item] + fraction * (high[item] - low[item])
-            bad = np.flatnonzero(~self._test(placed, items.owner[item], q, of))
+            bad = np.flatnonzero(~self._test(placed, items.owner[item], q, of, clock))
             hit, where = np.unique(of[bad], return_index=True)
             tested = size.copy()
             tested[hit] = step[bad[where]] + 1
@@ -164,14 +169,19 @@ class SequenceTester:
         return low, high, intervals.astype(int), points.astype(int)
 
     def _test(
-        self, placed: PlacedScenes, owner: np.ndarray, q: np.ndarray, sequence: np.ndarray
+        self,
+        placed: PlacedScenes,
+        owner: np.ndarray,
+        q: np.ndarray,
+        sequence: np.ndarray,
+        clock: Clock,
     ) -> np.ndarray:
         """Whether configurations `[B D]` are valid, each in the scene of its owner.
 
         Those that the first level leaves open are decided, but for what comes after one of the
         same sequence that is not valid.
         """
-        found = self._run_tiles(placed, owner, q)
+        found = self._run_tiles(placed, owner, q, clock)
         self.computed += len(q)
         if self._second is None:
             return found
@@ -189,12 +199,14 @@ class SequenceTester:
             some = rows[some & (rows < first[sequence[rows]])]
             if not len(some):
                 continue
-            valid[some] = self._run_open(placed, owner[some], found[some], q[some])
+            valid[some] = self._run_open(placed, owner[some], found[some], q[some], clock)
             blocked = some[~valid[some]]
             np.minimum.at(first, sequence[blocked], blocked)
         return valid
 
-    def _run_tiles(self, placed: PlacedScenes, owner: np.ndarray, q: np.ndarray) -> np.ndarray:
+    def _run_tiles(
+        self, placed: PlacedScenes, owner: np.ndarray, q: np.ndarray, clock: Clock
+    ) -> np.ndarray:
         """What the first level says of configurations."""
         # Those that lie side by side and have an owner in common share tiles.
         begin = np.flatnonzero(np.diff(owner, prepend=-1))
@@ -207,12 +219,17 @@ class SequenceTester:
         rows[place] = q
         rows = rows.reshape(len(owners), _TILE, q.shape[1])
         blocks = tuple(block // _TILE for block in _blocks_for(placed))
-        check = functools.partial(self._check, placed.scenes)
+        check = functools.partial(clock.call, self._check, placed.scenes)
         found = _in_blocks(check, blocks, owners, rows)
         return found.reshape(-1)[place]
 
     def _run_open(
-        self, placed: PlacedScenes, owner: np.ndarray, words: np.ndarray, q: np.ndarray
+        self,
+        placed: PlacedScenes,
+        owner: np.ndarray,
+        words: np.ndarray,
+        q: np.ndarray,
+        clock: Clock,
     ) -> np.ndarray:
         """Whether configurations are free of what the first level leaves open."""
         assert self._second is not None
@@ -220,12 +237,13 @@ class SequenceTester:
         free = np.ones(len(q), bool)
         rows = np.flatnonzero(words & ITSELF)
         if len(rows):
-            free[rows] = _in_blocks(clear_of_itself, _OPEN_BLOCKS, q[rows], free[rows])
+            function = functools.partial(clock.call, clear_of_itself)
+            free[rows] = _in_blocks(function, _OPEN_BLOCKS, q[rows], free[rows])
         number = np.arange(placed.num_obstacles)
         named = words[:, None] >> (number % OBSTACLE_BITS).astype(np.uint32) & 1 > 0
         row, number = np.nonzero(named & free[:, None])
         if len(row):
-            function = functools.partial(clear_of_obstacles, placed.scenes)
+            function = functools.partial(clock.call, clear_of_obstacles, placed.scenes)
             pairs = owner[row].astype(np.int32), number.astype(np.int32), q[row], free[row]
             held = ~_in_blocks(function, _OPEN_BLOCKS, *pairs)
             free[row[held]] = False

@@ -111,7 +111,7 @@ class Run(Attempts):
         begin = self.clock.now()
         starts, goals = self.problems.start[ids], self.problems.goal[ids]
         items = Items(np.arange(len(ids)), ids, starts, goals, np.ones(len(ids), bool))
-        outcome = self.tester(self.placed, items, len(ids))
+        outcome = self.tester(self.placed, items, len(ids), self.clock)
         self.count(ids, outcome)
         self.straight[ids] = INVALID
         free = ~outcome.refuted

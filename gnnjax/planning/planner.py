@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
+from gnnjax.collision.bounds import compile_certificates
 from gnnjax.collision.certify import proven_clearance
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.sequences import SequenceTester
@@ -98,8 +99,9 @@ class Planner(abc.ABC):
         """
         motion = motion_options(self.robot, trajectory)
         margin, seed = self.options.margin, check_seed(seed)
+        compile_certificates(self.robot)  # times hold no compilation
         if goal_pose is not None:
-            prepare(self.robot, goal_pose.frame)  # times hold no compilation
+            prepare(self.robot, goal_pose.frame)
         begin = time.perf_counter()
         start, ends = find_goals(self.robot, scene, start, goal, goals, goal_pose, margin, seed)
         checking = time.perf_counter() - begin
@@ -128,6 +130,7 @@ class Planner(abc.ABC):
             trajectory: see `plan`.
         """
         motion, margin = motion_options(self.robot, trajectory), self.options.margin
+        compile_certificates(self.robot)
         scenes = inflated(problems.scene, margin)
         plans = self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
         return with_motions(self.robot, plans, problems.scene, motion, margin)

@@ -184,7 +184,7 @@ class Pool:
     def test(self, host: Route, rows: np.ndarray, most_edges: np.ndarray | None = None) -> Tested:
         """Tests what is unknown on the paths of some slots."""
         items, row, step = items_of(host, rows, self.ids[rows], most_edges)
-        outcome = self.tester(self.placed, items, len(rows))
+        outcome = self.tester(self.placed, items, len(rows), self.clock)
         found = verdicts(items, outcome)
         nodes, edges = np.zeros((2, *host.path.shape), np.int8)
         nodes[rows[row[~items.motion]], step[~items.motion]] = found[~items.motion]

@@ -96,7 +96,7 @@ def _cut(
         points[row, _SECOND[motion]],
         np.ones(len(row), bool),
     )
-    outcome = tester(placed, items, len(row))
+    outcome = tester(placed, items, len(row), progress.clock)
     progress.count(ids[row], outcome)
     lengths = np.linalg.norm(points[:, _SECOND] - points[:, _FIRST], axis=2)
     lengths[row[outcome.refuted], motion[outcome.refuted]] = np.inf

@@ -147,7 +147,7 @@ def _extend(
         np.repeat(at, 2, axis=0),
         np.tile([False, True], len(of)),
     )
-    outcome = tester(placed, items, len(rows))
+    outcome = tester(placed, items, len(rows), progress.clock)
     progress.count(ids[rows], outcome)
     begin = np.cumsum(edges) - edges
     tips = np.full(len(rows), -1)
