@@ -188,7 +188,7 @@ def strata_table(rows: list[Row]) -> str:
 
 def verdict(results: Row) -> str:
     """Whether RRT-Connect's checks over those of the default planner, told that checks are dear,
-    rise with every stratum, from easy to hard, and whether that needs the fewest in every family."""
+    rise with every stratum, from easy to hard, and whether it needs the fewest in every family."""
     means = {
         (row["set"], row["stratum"], row["planner"]): part["mean"]
         for row in results["rows"]
