@@ -23,7 +23,8 @@ from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import arm_reach, sample_family_problem
 from gnnjax.problems.labelled import problem_keys
 from gnnjax.problems.shards import load_problems, read_manifest
-from gnnjax.scene.cloud import Balls, cloud_of, lookup, make_cloud, squared_distance_to
+from gnnjax.scene.cloud import Balls, cloud_of, make_cloud
+from gnnjax.scene.lookup import lookup, squared_distance_to
 from gnnjax.scene.mujoco_world import deepest_contact
 from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned, make_scene
 from gnnjax.scene.shapes import KINDS, cylinder, kind_of
