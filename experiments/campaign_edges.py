@@ -9,8 +9,10 @@ import numpy as np
 
 from experiments.judge import ROOM, Arm
 from gnnjax.collision.certify import certify_edges
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import Cloud
-from gnnjax.scene.scene import Scene, scene_from_shapes, stack_scenes, unit_quats
+from gnnjax.scene.numbers import unit_quats
+from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import (
     KINDS,
     Shape,

@@ -37,7 +37,8 @@ from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.query import QueryPlanner
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import Scene, scene_from_shapes, stack_scenes
+from gnnjax.scene.batches import stack_scenes
+from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import Shape
 from gnnjax.trajectory.curve import (
     Curve,

@@ -32,6 +32,7 @@ from gnnjax.roadmap.paths import cost_to_go, edge_validity
 from gnnjax.roadmap.sampled import Samples, sample_free, sample_roadmap
 from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.allowed import allow_contacts
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import Balls, Cloud, point_cloud
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.moveit import scene_from_moveit
@@ -45,7 +46,6 @@ from gnnjax.scene.scene import (
     pad_scene,
     sample_scene,
     scene_from_shapes,
-    stack_scenes,
 )
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import Shape, box, capsule, cylinder, half_space, sphere

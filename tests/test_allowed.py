@@ -24,14 +24,9 @@ from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.any_file import read_scene
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
-from gnnjax.scene.scene import (
-    inflated,
-    make_scene,
-    pad_scene,
-    scene_from_shapes,
-    stack_scenes,
-)
+from gnnjax.scene.scene import inflated, make_scene, pad_scene, scene_from_shapes
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
 

@@ -19,19 +19,13 @@ from gnnjax.errors import InputError
 from gnnjax.planning.load import load_planner
 from gnnjax.problems.file import load_file, save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
-from gnnjax.scene.cloud import (
-    BUCKETS,
-    NODES,
-    REACH,
-    lookup,
-    make_cloud,
-    point_cloud,
-    squared_distance_to,
-)
+from gnnjax.scene.batches import stack_scenes
+from gnnjax.scene.cloud import BUCKETS, NODES, REACH, make_cloud, point_cloud
 from gnnjax.scene.field import distance_field, make_grid
+from gnnjax.scene.lookup import lookup, squared_distance_to
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
 from gnnjax.scene.point_files import points_from_file
-from gnnjax.scene.scene import inflated, scene_from_shapes, stack_scenes, without_points
+from gnnjax.scene.scene import inflated, scene_from_shapes, without_points
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import box
 from gnnjax.scene.surfaces import (

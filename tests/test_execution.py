@@ -7,9 +7,10 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.scene.allowed import allow_contacts
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import point_cloud
 from gnnjax.scene.mujoco_world import obstacles
-from gnnjax.scene.scene import make_scene, scene_from_shapes, stack_scenes
+from gnnjax.scene.scene import make_scene, scene_from_shapes
 from gnnjax.scene.shapes import box, sphere
 from gnnjax.trajectory.control import control, inertias
 from gnnjax.trajectory.dynamics import inverse_dynamics_by_mujoco

@@ -10,8 +10,9 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, clearances
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.mujoco_world import deepest_contact
-from gnnjax.scene.scene import Scene, scene_from_shapes, stack_scenes
+from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
 
 # Links of all kinds that are no spheres, and two that can reach the first.

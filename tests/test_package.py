@@ -38,9 +38,9 @@ ORDER = """
 interruption errors files devices clock
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
-scene.shapes scene.cloud scene.own_points scene.point_files scene.scene scene.allowed
-scene.surfaces scene.octomap scene.units scene.scene_file scene.geometry scene.field
-scene.mujoco_world
+scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
+scene.scene scene.batches scene.allowed scene.surfaces scene.octomap scene.units scene.scene_file
+scene.geometry scene.field scene.mujoco_world
 scene.pose scene.held scene.holding scene.messages scene.collision_objects
 scene.moveit scene.from_mjcf scene.any_file
 collision.spheres collision.simplex collision.convex collision.exact collision.components

@@ -24,8 +24,9 @@ from gnnjax.planning import planner as planners
 from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.holding import attach_from_json
-from gnnjax.scene.scene import make_scene, stack_scenes
+from gnnjax.scene.scene import make_scene
 from gnnjax.scene.scene_file import scene_from_json
 from gnnjax.training.weights import default_weights, load_network
 from gnnjax.trajectory import trajectory as trajectories

@@ -6,7 +6,8 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
-from gnnjax.scene.scene import make_scene, stack_scenes
+from gnnjax.scene.batches import stack_scenes
+from gnnjax.scene.scene import make_scene
 from gnnjax.trajectory.curve import (
     blend_chords,
     edges_of,

@@ -16,8 +16,9 @@ from gnnjax.arm.kinematics import body_frames, joint_terms, transform
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.fused import CollisionFunctions, Levels
 from gnnjax.collision.spheres import BLOCKED, moved_by_joint
-from gnnjax.scene.cloud import Cloud, Lookup, lookup, squared_distance_to
-from gnnjax.scene.scene import Scene, without_points
+from gnnjax.scene.cloud import Cloud
+from gnnjax.scene.lookup import Lookup, lookup, squared_distance_to
+from gnnjax.scene.scene import Scene
 
 _SPHERES_A_PASS = 8
 # What single precision rounds off: of positions, m, and of squared distances, as a share.
@@ -63,8 +64,7 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
         return free if scene.cloud is None else free & clear(lookup(scene.cloud), nodes)
 
     def place(scenes: Scene) -> _Placed:
-        placed = functions.place(scenes._replace(cloud=None))
-        return _Placed(placed, without_points(scenes).cloud)
+        return _Placed(functions.place(scenes._replace(cloud=None)), scenes.cloud)
 
     def collision_free_each(
         placed: _Placed, owner: Int[Array, " G"], nodes: Float[Array, "G T D"]

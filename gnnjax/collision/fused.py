@@ -25,8 +25,8 @@ from gnnjax.collision.spheres import (
     place,
     sphere_centers,
 )
-from gnnjax.scene.cloud import lookup, squared_distance_to
 from gnnjax.scene.geometry import squared_distance
+from gnnjax.scene.lookup import lookup, squared_distance_to
 from gnnjax.scene.scene import Scene, rotation_matrices
 
 _OPEN_AT_ONCE = 32  # configurations that spheres leave open, and are decided together

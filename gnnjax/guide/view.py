@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from gnnjax.arm.kinematics import body_frames, dot, joint_terms, subtract, transform
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.spheres import moved_by_joint
-from gnnjax.scene.cloud import distances_to
 from gnnjax.scene.geometry import signed_distance
+from gnnjax.scene.lookup import distances_to
 from gnnjax.scene.scene import Scene, rotation_matrices
 
 # m; what a scene without obstacles is away from everything.

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Bool, Float
 
-from gnnjax.scene.cloud import distances_to
 from gnnjax.scene.geometry import signed_distance
+from gnnjax.scene.lookup import distances_to
 from gnnjax.scene.scene import Scene
 
 

@@ -10,8 +10,10 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import FileKind, atomic_write, read_arrays
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.allowed import refuse_allowed
+from gnnjax.scene.batches import same_clouds
 from gnnjax.scene.cloud import MOST_METERS, Balls, make_cloud
-from gnnjax.scene.scene import Scene, box_bucket, pad_scene, same_clouds, unit_quats
+from gnnjax.scene.numbers import unit_quats
+from gnnjax.scene.scene import Scene, box_bucket, pad_scene
 from gnnjax.scene.shapes import (
     FIELDS,
     KINDS,

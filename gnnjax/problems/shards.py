@@ -15,7 +15,8 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
 from gnnjax.problems.file import load_file, save_problems
 from gnnjax.problems.problem import ProblemSet
-from gnnjax.scene.scene import pad_scene, same_clouds
+from gnnjax.scene.batches import same_clouds
+from gnnjax.scene.scene import pad_scene
 
 MANIFEST = "manifest.json"  # of a folder of shards
 

@@ -2,12 +2,7 @@
 
 What a depth camera sees, a mesh or a height field is brought into this one form, by balls that
 enclose it. Kernels do not look at the balls, but at the squared distances of the nodes of a grid
-to the nearest of their centres. Between nodes, Jensen's inequality bounds that distance from below:
-the least of |p - c|^2 over all c, less |p|^2, is concave in p, so that its mean over the corners of
-a cell, weighted so that their mean is p, is no more than its value at p. For |p|^2, that mean is
-too large by the variance of the corners. Where all corners have the same nearest point, the bound
-is exact; before a wall it is short by the second order of a cell's size. Halfway between two walls
-it may be short by half a cell's diagonal, as the nearest node's distance would be anywhere.
+to the nearest of their centres (`lookup.py`).
 """
 
 import os
@@ -21,7 +16,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
 
-from gnnjax.arm.kinematics import Vector
 from gnnjax.errors import InputError
 
 NODES = 48  # of the grid, along each axis
@@ -215,86 +209,3 @@ def with_room(cloud: Cloud, room: int) -> Cloud:
     widths = [(0, 0)] * points.ndim
     widths[-2] = (0, room - points.shape[-2])
     return cloud._replace(points=np.pad(points, widths))
-
-
-class Lookup(NamedTuple):
-    """The grids of some points, each its own, or the same for all."""
-
-    lower: list[jax.Array]  # of each axis
-    cells: list[jax.Array]
-    radius: jax.Array  # m, of the balls
-    squared: Float[Array, " V"]  # of all grids in a row
-    first: jax.Array | int  # where those of a point begin
-
-
-def lookup(cloud: Cloud, owner: Int[Array, "..."] | None = None) -> Lookup:
-    """How `squared_distance_to` finds the distances of points to a cloud.
-
-    Args:
-        cloud: one, or `[P, ...]`.
-        owner: of each point, in which of P clouds it is looked up; None for one cloud.
-    """
-    if owner is None:
-        return Lookup(
-            list(cloud.lower), list(cloud.cells), cloud.radius, jnp.asarray(cloud.squared), 0
-        )
-    nodes = cloud.squared.shape[-1]
-    return Lookup(
-        list(jnp.moveaxis(cloud.lower[owner], -1, 0)),
-        list(jnp.moveaxis(cloud.cells[owner], -1, 0)),
-        cloud.radius[owner],
-        cloud.squared.reshape(-1),
-        owner.astype(jnp.int32) * nodes,
-    )
-
-
-def squared_distance_to(grid: Lookup, point: Vector) -> jax.Array:
-    """No more than the squared distance [m^2] of points to the centres of a cloud's balls, and less
-    by a cell's diagonal times the sum of the distance and a quarter of it at most; negative where
-    nothing is known.
-
-    Args:
-        grid: of `lookup`.
-        point: three arrays, m.
-    """
-    index, fraction, extra, inside = jnp.int32(0), [], 0.0, True
-    for x, low, cell in zip(point, grid.lower, grid.cells, strict=True):
-        inside = inside & (jnp.abs(jnp.asarray(x)) <= REACH)
-        at = (x - low) / cell
-        # As everywhere in such loops: `clip` would have to carry NaN.
-        held = jnp.where(at > 0.0, at, 0.0)
-        held = jnp.where(held < NODES - 1.0, held, NODES - 1.0)
-        # The angle between the way to the box of all points and on to any is obtuse.
-        beyond = (at - held) * cell
-        whole = jnp.floor(jnp.where(held < NODES - 2.0, held, NODES - 2.0))
-        part = held - whole
-        extra = extra + beyond * beyond - cell * cell * part * (1.0 - part)
-        index = index * NODES + whole.astype(jnp.int32)
-        fraction.append(part)
-    index = index + grid.first
-
-    def corner(offset: int) -> jax.Array:
-        return grid.squared.at[index + offset].get(mode="promise_in_bounds")
-
-    def between(low: jax.Array, high: jax.Array, part: jax.Array) -> jax.Array:
-        return low + part * (high - low)
-
-    x, y, z = fraction
-    rows = [
-        between(corner(first), corner(first + 1), z)
-        for first in (0, NODES, NODES * NODES, NODES * NODES + NODES)
-    ]
-    mean = between(between(rows[0], rows[1], y), between(rows[2], rows[3], y), x)
-    return jnp.where(inside, mean + extra, -1.0)
-
-
-def distances_to(cloud: Cloud, point: Vector) -> jax.Array:
-    """No more than the distances [m] of points to the balls of a cloud; minus the radius, or less,
-    is as deep as it gets.
-
-    Args:
-        cloud: one.
-        point: three arrays, m.
-    """
-    squared = squared_distance_to(lookup(cloud), point)
-    return jnp.sqrt(jnp.where(squared > 0.0, squared, 0.0)) - cloud.radius

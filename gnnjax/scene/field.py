@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from gnnjax.arm.kinematics import Vector
-from gnnjax.scene.cloud import distances_to
 from gnnjax.scene.geometry import signed_distance
+from gnnjax.scene.lookup import distances_to
 from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 
 _FAR = 10.0  # m; what a scene without obstacles is away from everything

@@ -11,8 +11,8 @@ from gnnjax.arm.covers import OVERSHOOT, chain_cover
 from gnnjax.arm.fit import Cover
 from gnnjax.arm.parts import Part, quat_to_matrix
 from gnnjax.errors import InputError, brief
+from gnnjax.scene.numbers import sums_from, unit_quats
 from gnnjax.scene.pose import IDENTITY, Pose, compose
-from gnnjax.scene.scene import sums_from, unit_quats
 from gnnjax.scene.shapes import KINDS, Shape, for_every_kind
 
 _ALL_BITS = -1  # of contype and conaffinity: it meets whatever bits the arm's author chose

@@ -8,8 +8,8 @@ import numpy as np
 import yaml
 
 from gnnjax.errors import InputError, brief
+from gnnjax.scene.numbers import unit_quats
 from gnnjax.scene.pose import Pose
-from gnnjax.scene.scene import unit_quats
 
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # tenfold faster, where it is built
 
