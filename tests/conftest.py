@@ -25,9 +25,10 @@ for _name, _value in _SETTINGS.items():
     os.environ[_name.upper()] = str(_value)
 
 # What lowers fused loops takes half of what is left; without it they are fused as the shape has it,
-# and without fused multiply-adds that changes no result.
-if jax.__version_info__ < (0, 11):  # where the flag is known
-    _FLAGS = "--xla_cpu_use_fusion_emitters=false --xla_cpu_max_isa=AVX"
+# and without fused multiply-adds that changes no result. Workers leave no core for further parts.
+if jax.__version_info__ < (0, 11):  # where the flags are known
+    _FLAGS = "--xla_cpu_use_fusion_emitters=false --xla_cpu_max_isa=AVX "
+    _FLAGS += "--xla_cpu_parallel_codegen_split_count=1"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FLAGS}"
 # Arms that tests make up have few spheres a part, which leave more to the parts themselves.
 covers._MOST = 3

@@ -173,7 +173,7 @@ def test_the_proven_clearance_of_a_path_is_its_least_distance_to_obstacles(robot
     while found < 4:
         path = rng.uniform(robot.joint_lower, robot.joint_upper, (3, robot.num_dof))
         path = path[0] + 0.3 * (path - path[0])  # most of the long ones touch something
-        scene = random_scene(rng, num=3)
+        scene = random_scene(rng, num=10)
         if not certify_path(robot, scene, path):
             continue
         least, alone = (path_clearance(robot, x, path, 0.002) for x in (scene, nothing))

@@ -22,6 +22,7 @@ from gnnjax.guide.field import (
 from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.field import Grid, cell_of, distance_field, make_grid
 from gnnjax.scene.scene import make_scene
+from tests.draws import random_configurations
 from tests.fine_scan import random_scene
 
 GRID = Grid((-0.5, -0.4, 0.1), 0.1, (10, 7, 5))
@@ -170,13 +171,8 @@ def plain_margins(grid, field, centers, radii):
     return tuple(side(seen, axis=0).min(axis=-1) for side in (np.min, np.max))
 
 
-def random_configurations(robot, rng, num):
-    q = rng.uniform(robot.joint_lower, robot.joint_upper, (num, robot.num_dof))
-    return np.clip(q.astype(np.float32), robot.joint_lower, robot.joint_upper)
-
-
 def test_margins_are_what_mujoco_and_the_field_say(robot, grid, margin, readings):
-    q = random_configurations(robot, np.random.default_rng(2), 300)
+    q = random_configurations(np.random.default_rng(2), robot, 300)
     centers, radii = sphere_places(robot, q)
     for field in readings:
         least, most = plain_margins(grid, field, centers, radii)
@@ -189,7 +185,7 @@ def test_margins_are_what_mujoco_and_the_field_say(robot, grid, margin, readings
 
 
 def test_the_grid_holds_whatever_the_arm_reaches(robot, grid):
-    centers, _ = sphere_places(robot, random_configurations(robot, np.random.default_rng(3), 500))
+    centers, _ = sphere_places(robot, random_configurations(np.random.default_rng(3), robot, 500))
     outside = np.maximum(grid.lower - centers, 0)
     upper = np.array(grid.lower) + np.array(grid.shape) * grid.cell
     outside = np.maximum(outside, centers - upper)
@@ -289,7 +285,7 @@ def test_a_roadmap_without_edges_has_a_table(guide, stored, readings):
 
 
 def test_prices_of_nodes_rise_as_margins_fall(robot, guide, margin, readings):
-    q = random_configurations(robot, np.random.default_rng(6), 400)
+    q = random_configurations(np.random.default_rng(6), robot, 400)
     found = guide.prices(guide.weights, readings[0])
     price = np.asarray(jax.jit(found.nodes)(q))
     margins = np.asarray(margin(readings[0], q))
@@ -304,7 +300,7 @@ def test_the_price_of_a_motion_is_that_of_its_worst_place_in_either_direction(
     robot, guide, readings
 ):
     rng = np.random.default_rng(7)
-    starts, ends = (random_configurations(robot, rng, 60) for _ in range(2))
+    starts, ends = (random_configurations(rng, robot, 60) for _ in range(2))
     found = guide.prices(guide.weights, readings[1])
     nodes, motions = jax.jit(found.nodes), jax.jit(found.motions, static_argnums=2)
     for most in (4, 16):

@@ -34,6 +34,7 @@ from gnnjax.scene.shapes import (
     kind_of,
     sphere,
 )
+from tests.draws import random_configurations
 
 CAPSULE = """
 <mujoco>
@@ -83,11 +84,6 @@ def on_device(shapes) -> Scene:
     return jax.tree.map(jnp.asarray, scene_from_shapes(shapes))
 
 
-def draw_configurations(rng, robot, num):
-    q = rng.uniform(robot.joint_lower, robot.joint_upper, (num, robot.num_dof))
-    return np.clip(q.astype(np.float32), robot.joint_lower, robot.joint_upper)
-
-
 def stacked(scenes) -> Scene:
     return jax.tree.map(lambda *x: np.stack(x), *scenes)
 
@@ -114,7 +110,7 @@ def engine_distances(robot, scene, q):
 def test_kernels_and_certificate_agree_with_the_c_engine_on_every_kind(arm, tiny, stick):
     robot, rng = {"tiny": tiny, "stick": stick}[arm], np.random.default_rng(0)
     scenes = [draw_scene(rng, num) for num in (5, 10, 3, 7)]
-    q = draw_configurations(rng, robot, 200)
+    q = random_configurations(rng, robot, 200)
     checker = make_checker(robot)
     check, clearance = jax.jit(checker.check_configurations), jax.jit(checker.clearance)
     by_itself = np.asarray(clearance(scene_from_shapes([]), q))
@@ -150,7 +146,7 @@ def test_certified_edges_are_free_for_the_c_engine(tiny):
     rng, certified = np.random.default_rng(1), 0
     for _ in range(6):
         scene = draw_scene(rng, 6, reach=1.2)
-        starts, ends = (draw_configurations(rng, tiny, 60) for _ in range(2))
+        starts, ends = (random_configurations(rng, tiny, 60) for _ in range(2))
         starts, ends = starts, starts + 0.3 * (ends - starts)
         holds = certify_edges(tiny, scene, starts, ends)
         engine = Engine(tiny, scene)
@@ -247,7 +243,7 @@ def test_files_give_back_every_kind(tmp_path, tiny):
     for scene in scenes:
         scene_to_json(scene, tmp_path / "scene.json")
         assert_same_obstacles(scene_from_json(tmp_path / "scene.json"), scene)
-    q = draw_configurations(rng, tiny, len(scenes))
+    q = random_configurations(rng, tiny, len(scenes))
     save_problems(tmp_path / "set.npz", ProblemSet("tiny", Problem(q, q, stacked(scenes))))
     assert_same_obstacles(load_problems(tmp_path / "set.npz", tiny).problems.scene, stacked(scenes))
     with np.load(tmp_path / "set.npz") as arrays:
@@ -325,7 +321,7 @@ def test_nothing_is_certified_among_obstacles_that_are_none(tiny, half_extents, 
 def test_a_margin_makes_obstacles_as_large_as_what_is_within_it(tiny):
     rng = np.random.default_rng(7)
     scene = draw_scene(rng, 5, 1.0)
-    q = draw_configurations(rng, tiny, 200)
+    q = random_configurations(rng, tiny, 200)
     thick = inflated(scene, 0.07)
     alone = clearances(tiny, scene_from_shapes([]), q)
     expected = np.minimum(engine_distances(tiny, scene, q).min(axis=1) - 0.07, alone)

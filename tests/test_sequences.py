@@ -12,6 +12,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
 from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.scene.scene import make_scene
+from tests.draws import random_configurations
 from tests.fine_scan import random_scene
 
 NUM_SCENES = 3
@@ -49,16 +50,11 @@ def scenes():
     return make_scenes(np.random.default_rng(0))
 
 
-def random_configurations(robot, rng, num):
-    q = rng.uniform(robot.joint_lower, robot.joint_upper, (num, robot.num_dof))
-    return np.clip(q.astype(np.float32), robot.joint_lower, robot.joint_upper)
-
-
 def random_items(robot, rng, num, most=8, reach=0.5):
     """Items of `num` sequences of up to `most`; long and short motions, and configurations."""
     sequence = np.repeat(np.arange(num), rng.integers(0, most + 1, num))
-    starts = random_configurations(robot, rng, len(sequence))
-    ends = random_configurations(robot, rng, len(sequence))
+    starts = random_configurations(rng, robot, len(sequence))
+    ends = random_configurations(rng, robot, len(sequence))
     # Among them many that are shorter than the resolution, and some without any length.
     part = rng.choice([0.0, 0.005, 0.1, reach], (len(sequence), 1)).astype(np.float32)
     ends = starts + part * (ends - starts)
@@ -230,7 +226,7 @@ def test_an_item_that_is_no_number_is_refuted_alone(robot, tester, scenes, side,
 def test_thousands_of_configurations_in_one_call(robot, checker, tester, scenes):
     num = 5000
     rng = np.random.default_rng(5)
-    q = random_configurations(robot, rng, num)
+    q = random_configurations(rng, robot, num)
     owner = rng.integers(0, NUM_SCENES, num)
     alone = np.stack(
         [
@@ -277,7 +273,7 @@ def test_each_in_its_own_scene_is_all_in_one_scene(robot, backend):
     check, check_each = jax.jit(checker.check_configurations), jax.jit(checker.check_each)
     rng = np.random.default_rng(7)
     scenes = make_scenes(rng)
-    q = random_configurations(robot, rng, 256)
+    q = random_configurations(rng, robot, 256)
     q[:3, 1] = np.nan, np.inf, 9.0
     owner = rng.integers(0, NUM_SCENES, 256).astype(np.int32)
     found = np.asarray(check_each(checker.place(scenes), owner, q[:, None]))[:, 0]
@@ -296,7 +292,7 @@ def test_unrotated_boxes_are_the_same_to_a_kernel_that_relies_on_it(robot):
         for _ in range(NUM_SCENES)
     ]
     scenes = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *scenes)
-    q = random_configurations(robot, rng, 256)
+    q = random_configurations(rng, robot, 256)
     owner = rng.integers(0, NUM_SCENES, 256).astype(np.int32)
     checkers = [make_checker(robot, axis_aligned=aligned) for aligned in (False, True)]
     found = [
