@@ -124,7 +124,7 @@ def _run_seed(case: EvaluateConfig, seed: int, runs: Path) -> dict[str, Any]:
     return evaluate(case, _planner(settings))
 
 
-@functools.lru_cache(maxsize=1)
+@functools.lru_cache(maxsize=4)
 def _planner(settings: EvaluateConfig) -> Any:
     """One planner for all seeds and sets, so that it is compiled once."""
     # All that ever was compiled for earlier ones would stay in memory, piece by piece, until the

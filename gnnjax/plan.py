@@ -13,7 +13,7 @@ from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
-from gnnjax.problems.moveit import problem_from_moveit
+from gnnjax.problems.moveit import query_from_moveit
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.scene.scene import Scene
@@ -30,8 +30,8 @@ class PlanConfig(PlannerOptions, MotionOptions):
     """Plan one query and write its path."""
 
     scene: Path
-    """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt) or .xml (a
-    MuJoCo model, less the robot in it)."""
+    """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt), .xml (a
+    MuJoCo model, less the robot in it), .bt or .ot (an octomap)."""
     start: tuple[float, ...] | None = None
     """Joint values, rad."""
     goal: tuple[float, ...] | None = None
@@ -78,7 +78,7 @@ def main(config: PlanConfig) -> int:
     robot = load_robot(config.robot)
     if config.attach is not None:
         robot = attach_from_json(robot, config.attach)
-    start, goal, scene = _read(config, robot)
+    robot, start, goal, scene = _read(config, robot)
     moves = config.trajectory is not None or config.video is not None
     if config.trajectory is not None:
         check_trajectory_file(config.trajectory)
@@ -145,8 +145,9 @@ def main(config: PlanConfig) -> int:
     return 0
 
 
-def _read(config: PlanConfig, robot: Robot) -> tuple[np.ndarray, dict[str, Any], Scene]:
-    """Start, goal and scene that files and options say; the goal as an argument of a planner's."""
+def _read(config: PlanConfig, robot: Robot) -> tuple[Robot, np.ndarray, dict[str, Any], Scene]:
+    """Start, goal and scene that files and options say; the goal as an argument of a planner's. And
+    the arm, which holds what a request or scene of MoveIt has attached to it."""
     ends = [config.goal is not None, config.goal_pose is not None]
     of_pose = config.frame, config.free, config.tolerance
     if config.goal_pose is None and of_pose != (None, (), PlanConfig.tolerance):
@@ -159,20 +160,20 @@ def _read(config: PlanConfig, robot: Robot) -> tuple[np.ndarray, dict[str, Any],
             )
         scene, start = read_scene(config.scene, robot), np.array(config.start)
         if config.goal_pose is None:
-            return start, {"goal": np.array(config.goal)}, scene
+            return robot, start, {"goal": np.array(config.goal)}, scene
         place, quat = config.goal_pose[:3], config.goal_pose[3:]
         pose = PoseGoal(place, quat, config.free, config.tolerance, config.frame)
         check_goal(pose)
         tool_frame(robot, pose.frame)
-        return start, {"goal_pose": pose}, scene
+        return robot, start, {"goal_pose": pose}, scene
     if config.start is not None or any(ends):
         raise InputError("--request has a start and a goal; leave --start and --goal out")
     if config.scene.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(
             f"--request needs a planning scene of MoveIt (.yaml); --scene is {str(config.scene)!r}"
         )
-    start, goal, scene = problem_from_moveit(config.scene, config.request, robot)
-    return np.asarray(start), {"goal": goal}, scene
+    robot, (start, goal, scene) = query_from_moveit(config.scene, config.request, robot)
+    return robot, np.asarray(start), {"goal": goal}, scene
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.paper.strategy import gnn
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
-from gnnjax.planning import motions
+from gnnjax.planning import load, motions
 from gnnjax.planning import planner as planners
 from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import PlannerOptions
@@ -63,9 +63,9 @@ def test_every_method_plans_certified_paths(tiny_path, method):
 
 def test_compiled_code_is_kept_before_a_guide_compiles(tiny_path, monkeypatch):
     called = []
-    monkeypatch.setattr(planners, "cache_compilations", lambda: called.append("cache"))
-    guide = planners.field_guide
-    monkeypatch.setattr(planners, "field_guide", lambda r: called.append("guide") or guide(r))
+    monkeypatch.setattr(load, "cache_compilations", lambda: called.append("cache"))
+    guide = load.field_guide
+    monkeypatch.setattr(load, "field_guide", lambda r: called.append("guide") or guide(r))
     load_planner(tiny_path)
     assert called == ["cache", "guide"]
 
