@@ -1,5 +1,6 @@
 """A planner in processes of its own plans what it plans in this one."""
 
+import dataclasses
 import os
 import signal
 import subprocess
@@ -15,16 +16,19 @@ from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.guide.field import field_guide
 from gnnjax.planning.load import make_planner
-from gnnjax.planning.options import make_options
+from gnnjax.planning.options import PlannerOptions, make_options
 from gnnjax.planning.processes import PlannerProcesses
 from tests.test_guided_planner import random_problem, same
-
-OPTIONS = make_options("lazysp", num_nodes=40, max_roadmaps=1)
 
 
 @pytest.fixture(scope="module")
 def planner(tiny_path):
-    return make_planner(load_robot(tiny_path), OPTIONS)
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Options(PlannerOptions):
+        """Those of a command, which its module alone knows."""
+
+    options = Options(planner="lazysp", num_nodes=40, max_roadmaps=1)
+    return make_planner(load_robot(tiny_path), options)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -23,10 +24,13 @@ def print_summary(results: dict[str, Any]) -> None:
         if settings[name] == value:
             title += f", {words}"
     table = Table(
-        "stratum", "solved", "certified", "edge checks", "configuration checks", "cost", title=title
+        *("stratum", "solved", "certified", "edge\nchecks", "configuration\nchecks", "cost"),
+        title=title,
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
     )
-    table.add_column("planning [ms]")
-    table.add_column("total [ms]")
+    table.add_column("planning\n[ms]")
+    table.add_column("total\n[ms]")
     for stratum in ("all", "hard"):
         part = summary[stratum]
         if not part["num_problems"]:
@@ -36,7 +40,7 @@ def print_summary(results: dict[str, Any]) -> None:
             if part[name] is None:
                 return "-"
             mean, median = part[name]["mean"] * scale, part[name]["median"] * scale
-            return f"{mean:{form}} ({median:{form}})"
+            return f"{mean:{form}}\n({median:{form}})"
 
         table.add_row(
             f"{stratum} ({part['num_problems']})",

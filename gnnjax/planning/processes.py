@@ -5,6 +5,7 @@ process at a time. Processes share nothing but the cache of compiled code.
 """
 
 import contextlib
+import dataclasses
 import os
 import pickle
 import signal
@@ -21,6 +22,7 @@ import numpy as np
 from gnnjax.devices import num_cores
 from gnnjax.errors import InputError, is_out_of_memory
 from gnnjax.planning.load import make_planner
+from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
 from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
@@ -146,8 +148,11 @@ class PlannerProcesses:
 def _sent(planner: Planner) -> bytes:
     """What a process makes the planner of."""
     cache = jax.config.jax_compilation_cache_dir
+    # Those of a command belong to its module, which is another one there.
+    names = [field.name for field in dataclasses.fields(PlannerOptions)]
+    options = PlannerOptions(**{name: getattr(planner.options, name) for name in names})
     try:
-        return pickle.dumps((planner.robot, planner.options, planner.given, cache))
+        return pickle.dumps((planner.robot, options, planner.given, cache))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
             f"the planner's guide or scorer cannot be sent to another process ({error}); make it "
