@@ -106,6 +106,15 @@ def evaluate_with_one_planner(planner_once):
         yield
 
 
+@pytest.fixture
+def experiments_remember(monkeypatch):
+    """Experiments keep one planner, and forget what others have compiled; here all is kept."""
+    from experiments import measure
+
+    monkeypatch.setattr("jax.clear_caches", lambda: None)
+    monkeypatch.setattr(measure, "_planner", functools.cache(measure._planner.__wrapped__))
+
+
 def pytest_collection_finish():
     """Spares the garbage collector what imports have made, and turns while JAX traces."""
     gc.collect()

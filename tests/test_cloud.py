@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.distance import cdist
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import load_robot
@@ -37,6 +38,7 @@ from gnnjax.scene.surfaces import (
     scene_from_mesh,
     scene_from_points,
 )
+from tests.draws import random_configurations
 from tests.test_hulls import ARM
 
 # Blobs, a wall without thickness, and points so far away that the grid does not hold them.
@@ -70,7 +72,7 @@ def draw(rng, kind):
 
 def brute_force(points, at):
     """Distances [m] of places `[N, 3]` to the nearest of points."""
-    return np.sqrt(((at[:, None] - points[None]) ** 2).sum(axis=2).min(axis=1))
+    return cdist(at, points).min(axis=1)
 
 
 def looked_up(cloud, at):
@@ -143,12 +145,6 @@ def gaps(robot, scene, q):
     return (away - radii).min(axis=1) - float(scene.cloud.radius)
 
 
-def drawn(rng, robot, num):
-    return rng.uniform(robot.joint_lower, robot.joint_upper, (num, robot.num_dof)).astype(
-        np.float32
-    )
-
-
 def compiled(robot, backend):
     """`check_configurations`, `place`, `check_each` and `clearance`."""
     made = make_checker(robot, backend)
@@ -167,6 +163,13 @@ def mjx_kernels(tiny):
     return compiled(tiny, "mjx")
 
 
+def verdicts(place, each, batch, q):
+    """What `check_each` says of each of three scenes."""
+    placed, groups = place(batch), q.reshape(-1, 8, q.shape[1])
+    owners = (np.full(len(groups), i, np.int32) for i in range(3))
+    return [np.asarray(each(placed, owner, groups)).ravel() for owner in owners]
+
+
 @pytest.mark.parametrize("arm", ["crane", "tiny"])
 def test_kernels_accept_nothing_that_touches_and_refuse_nothing_that_is_free_by_millimetres(
     arm, request
@@ -180,16 +183,9 @@ def test_kernels_accept_nothing_that_touches_and_refuse_nothing_that_is_free_by_
         scene_from_points(draw(rng, "wall")[:, [2, 0, 1]], 0.01, None),
         scene_from_shapes([]),
     ]
-    q = drawn(rng, crane, 400)
-
-    def tested(batch):
-        placed, groups = place(batch), q.reshape(-1, 8, q.shape[1])
-        owners = (np.full(len(groups), i, np.int32) for i in range(3))
-        return [np.asarray(each(placed, owner, groups)).ravel() for owner in owners]
-
-    batch = stack_scenes(scenes)
-    *found, free_alone = tested(batch)
-    grown = tested(inflated(batch, 0.01))
+    q, batch = random_configurations(rng, crane, 400), stack_scenes(scenes)
+    *found, free_alone = verdicts(place, each, batch, q)
+    grown = verdicts(place, each, inflated(batch, 0.01), q)
     assert 0.2 < free_alone.mean()
     touched = 0
     # Halfway between points far apart, look-ups are short by more than before a wall.
@@ -214,7 +210,7 @@ def test_what_the_cloud_blocks_is_blocked_in_the_first_level(crane):
     rng = np.random.default_rng(2)
     checker = make_checker(crane)
     scene = scene_from_points(draw(rng, "wall")[:, [2, 0, 1]], 0.01, None)
-    q = drawn(rng, crane, 300)
+    q = random_configurations(rng, crane, 300)
     placed = checker.place(stack_scenes([scene]))
     first = jax.jit(checker.levels.first)(placed, np.zeros(1, np.int32), q[None])
     first = np.asarray(first)[0]
@@ -229,8 +225,8 @@ def test_the_c_engine_finds_no_contact_in_what_is_accepted(crane, kernels):
     model = build_world(crane, len(scene.mask), scene.cloud)
     data = mujoco.MjData(model)
     place_boxes(model, data, scene)
-    q = drawn(rng, crane, 400)
-    found = np.asarray(kernels[0](scene, q))
+    q = random_configurations(rng, crane, 400)
+    found = verdicts(*kernels[1:3], stack_scenes([scene] * 3), q)[0]
     collides = np.empty(len(q), bool)
     for i, at in enumerate(q):
         data.qpos[:] = at
@@ -258,7 +254,7 @@ def test_certificates_are_of_the_points_and_do_not_believe_the_grid(tiny):
     scene = scene_from_points(draw(rng, "blob")[:60] + np.array([0.5, 0, 0.2]), 0.02, None)
     lying = scene._replace(cloud=scene.cloud._replace(squared=np.full(NODES**3, 9.0, np.float32)))
     num = 0
-    for start, end in itertools.pairwise(drawn(rng, tiny, 80)):
+    for start, end in itertools.pairwise(random_configurations(rng, tiny, 80)):
         path = np.stack([start, end])
         proven = certify_path(tiny, scene, path)
         assert proven == certify_path(tiny, lying, path)

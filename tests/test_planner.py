@@ -1,6 +1,7 @@
 """Planning a query end to end, and what bad input gets."""
 
 import dataclasses
+import functools
 import json
 import subprocess
 import sys
@@ -36,10 +37,15 @@ from gnnjax.trajectory.trajectory import find_motions, time_path
 from tests.fine_scan import collides_anywhere, random_scene
 
 
+@functools.cache
+def load_once(path, method):
+    return load_planner(path, method, num_nodes=60, max_roadmaps=2)
+
+
 @pytest.mark.parametrize("method", ["lazysp", "distance", "prm", "oracle"])
 def test_every_method_plans_certified_paths(tiny_path, method):
     robot, rng = load_robot(tiny_path), np.random.default_rng(1)
-    planner = load_planner(tiny_path, method, num_nodes=60, max_roadmaps=2)
+    planner = load_once(tiny_path, method)
     solved = 0
     for _ in range(6):
         scene = random_scene(rng)
@@ -71,7 +77,7 @@ def test_compiled_code_is_kept_before_a_guide_compiles(tiny_path, monkeypatch):
 
 
 def test_the_same_seed_gives_the_same_plan(tiny_path):
-    planner = load_planner(tiny_path, "lazysp", num_nodes=60)
+    planner = load_once(tiny_path, "lazysp")
     scene = random_scene(np.random.default_rng(2))
     first, again = (
         planner.plan(scene, [0.5, 1, 0], [-2, -1, 1], seed=3)._replace(
@@ -144,13 +150,13 @@ def test_limits_of_motions_are_checked_before_planning(tiny_path, monkeypatch):
 def test_a_bad_start_is_refused_with_its_value(tiny_path, start, message):
     scene = make_scene([[0.6, 0.0, 0.0]], [[0.1, 0.1, 0.1]])
     with pytest.raises(InputError, match=message):
-        load_planner(tiny_path, "lazysp", num_nodes=60).plan(scene, start, [2.0, 0.0, 0.0])
+        load_once(tiny_path, "lazysp").plan(scene, start, [2.0, 0.0, 0.0])
 
 
 def test_a_box_in_the_base_is_refused(tiny_path):
     scene = make_scene([[0.0, 0.0, 0.1]], [[0.05, 0.05, 0.05]])
     with pytest.raises(InputError, match=r"box 0 of the scene reaches .* mm into the base"):
-        load_planner(tiny_path, "lazysp").plan(scene, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+        load_once(tiny_path, "lazysp").plan(scene, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
