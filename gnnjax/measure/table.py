@@ -28,6 +28,7 @@ def print_summary(results: dict[str, Any]) -> None:
         title=title,
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
+        show_edge=False,
     )
     table.add_column("planning\n[ms]")
     table.add_column("total\n[ms]")
