@@ -16,7 +16,7 @@ from experiments.published import (
 )
 from experiments.results import Measured, Row, of_set
 from experiments.style import label
-from experiments.tables import markdown, seconds, span
+from experiments.tables import listing, markdown, seconds
 
 TEMPLATE = Path(__file__).with_name("paper_template.md")
 
@@ -179,6 +179,6 @@ def page(results: dict[str, Row]) -> str:
         check=seconds(results["crossover"]["marks_s"]["our fused kernel"]),
         resolution=first["settings"]["resolution"],
         problems=first["summary"]["num_problems"],
-        seven_sizes=span(Measured(of_set(figure5, "test")).sizes, "d"),
-        six_sizes=span(Measured(figure7["rows"]).sizes, "d"),
+        seven_sizes=listing([str(n) for n in Measured(of_set(figure5, "test")).sizes]),
+        six_sizes=listing([str(n) for n in Measured(figure7["rows"]).sizes]),
     )
