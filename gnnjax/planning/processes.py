@@ -167,7 +167,11 @@ class _Worker:
         # By name, and not by multiprocessing, which would run the script that asks once more.
         code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import work; work()"
         self._process = subprocess.Popen(
-            [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [sys.executable, "-c", code],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            # An accelerator that this process leaves alone is none of theirs either.
+            env=os.environ | {"JAX_PLATFORMS": "cpu"},
         )
         self.send(number)
         self.send(sent)
