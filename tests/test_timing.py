@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import clearances, proven_clearance
+from gnnjax.collision.certify import clearances
+from gnnjax.collision.margins import proven_clearance
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
@@ -19,11 +20,6 @@ from tests.conftest import TINY
 NOTHING = make_scene([], [])
 # Of the tiny arm, which weighs about 3 kg and needs up to 8 N m to be held.
 SPEEDS, PUSHES, TORQUES = [2.0, 1.5, 3.0], [6.0, 4.0, 9.0], [20.0, 14.0, 6.0]
-
-
-@pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
 from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.allowed import check_allowed
-from gnnjax.scene.scene import Scene, inflated, make_scene
+from gnnjax.scene.scene import Scene, make_scene
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
@@ -21,7 +21,6 @@ _SHORTEST_PIECE = 1e-4
 _FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
 _PIECES_A_BATCH = 1024  # whose arrays fit into a core's cache
 _EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
-_MILLIMETER = 1e-3  # m; how finely `proven_clearance` looks
 
 
 def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
@@ -51,35 +50,6 @@ def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
         raise InputError("the path holds no configuration; give at least one")
     last = max(1, len(path) - 1)  # a single configuration is its own end
     return bool(certify_edges(robot, scene, path[:last], path[-last:]).all())
-
-
-def proven_clearance(robot: Robot, scene: Scene, path: ArrayLike, most: float = 0.25) -> float:
-    """A distance [m] that the arm provably keeps from all obstacles along the whole of a path.
-
-    The largest that the certificate finds, to a millimetre: `certify_path` with obstacles that much
-    larger. How near the arm comes to itself does not matter, as long as the path is free.
-
-    Args:
-        robot: the arm.
-        scene: one scene.
-        path: see `certify_path`.
-        most: distance beyond which none is looked for, m; it is the result where nothing is nearer.
-
-    Raises:
-        InputError: see `certify_path`; or the path is not certified at all, and has none.
-    """
-    if not certify_path(robot, scene, path):
-        raise InputError("the path is not certified, so that it has no clearance; plan another one")
-    low, high = 0.0, most
-    if certify_path(robot, inflated(scene, most), path):
-        return most
-    while high - low > _MILLIMETER:
-        middle = (low + high) / 2
-        if certify_path(robot, inflated(scene, middle), path):
-            low = middle
-        else:
-            high = middle
-    return low
 
 
 def certify_edges(

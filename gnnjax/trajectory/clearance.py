@@ -1,20 +1,17 @@
 """How far rounded paths stay from obstacles, proven all along."""
 
-from collections.abc import Callable
-
 import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.margins import largest_margin
 from gnnjax.scene.scene import Scene, inflated
 from gnnjax.trajectory.curve import blend_chords, straight_pieces
 from gnnjax.trajectory.smooth import Smoothed
 
 _CHORDS = 16  # of a blend, even: what curves stray from these is a millimetre at most, an arm's
 # length away
-_MILLIMETER = 1e-3  # m; how finely distances are looked for
-MOST = 0.25  # m, beyond which none is looked for
 
 
 def clearances_of(robot: Robot, scene: Scene, paths: list[Smoothed]) -> list[dict[str, float]]:
@@ -58,18 +55,4 @@ def curve_clearance(robot: Robot, scene: Scene, path: np.ndarray, blends: np.nda
         thick = inflated(scene, margin)
         return bool(certify_edges(robot, thick, starts, ends, slack=slack).all())
 
-    return largest_margin(proves)
-
-
-def largest_margin(proves: Callable[[float], bool], most: float = MOST) -> float:
-    """The largest distance [m] up to `most` for which something is proven, to a millimetre; 0 where
-    it is not even for that."""
-    if not proves(0.0):
-        return 0.0
-    if proves(most):
-        return most
-    low, high = 0.0, most
-    while high - low > _MILLIMETER:
-        middle = (low + high) / 2
-        low, high = (middle, high) if proves(middle) else (low, middle)
-    return low
+    return largest_margin(proves) or 0.0

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.margins import largest_margin
 from gnnjax.errors import InputError
 from gnnjax.scene.mujoco_world import obstacles
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
-from gnnjax.trajectory.clearance import largest_margin
 from gnnjax.trajectory.control import control
 from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
 from gnnjax.trajectory.limits import Amounts, limits_of
@@ -270,7 +270,7 @@ def stays_clear(robot: Robot, scene: Scene, q: np.ndarray, margin: float) -> boo
 def motion_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
     """The largest such distance [m], to a millimetre, up to 0.25 m; 0 where not even the curve
     itself is proven free."""
-    return largest_margin(lambda margin: stays_clear(robot, scene, q, margin))
+    return largest_margin(lambda margin: stays_clear(robot, scene, q, margin)) or 0.0
 
 
 def _pair(robot: Robot, scene: Scene, model: mujoco.MjModel, q: np.ndarray) -> tuple[str, ...]:
