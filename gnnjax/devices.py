@@ -1,7 +1,7 @@
 """How work is compiled and spread: the cache of compiled code, and the axis of many problems."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
@@ -50,8 +50,25 @@ def shares_of(num: int) -> list[Share]:
     devices: list[Any] = jax.local_devices()
     if len(devices) == 1:
         devices = [None] * (num_cores() if jax.default_backend() == "cpu" else 1)
-    count = max(1, min(len(devices), num // _LEAST_SHARE))
-    return [Share(devices[i], np.arange(i, num, count)) for i in range(count)]
+    dealt = deal(num, len(devices), _LEAST_SHARE)
+    return [Share(device, numbers) for device, numbers in zip(devices, dealt, strict=False)]
+
+
+def deal(num: int, most: int, least: int) -> list[np.ndarray]:
+    """The numbers of `num` problems, dealt out in turn to as many as get `least` each, but no more
+    than `most`."""
+    count = max(1, min(most, num // least))
+    return [np.arange(i, num, count) for i in range(count)]
+
+
+def gather(dealt: Sequence[np.ndarray], found: Iterable[Iterable]) -> list:
+    """Of what was found for each part of what was dealt out, the results in the order of the
+    problems."""
+    results: list = [None] * sum(map(len, dealt))
+    for numbers, some in zip(dealt, found, strict=True):
+        for number, result in zip(numbers, some, strict=True):
+            results[number] = result
+    return results
 
 
 def side_by_side(function: Callable[[Share], list], shares: list[Share]) -> list:
@@ -71,12 +88,8 @@ def side_by_side(function: Callable[[Share], list], shares: list[Share]) -> list
 
     if len(shares) == 1:
         return call(shares[0])
-    results: list = [None] * sum(len(share.numbers) for share in shares)
     with ThreadPoolExecutor(len(shares)) as threads:
-        for share, found in zip(shares, threads.map(call, shares), strict=True):
-            for number, result in zip(share.numbers, found, strict=True):
-                results[number] = result
-    return results
+        return gather([share.numbers for share in shares], threads.map(call, shares))
 
 
 def map_first(

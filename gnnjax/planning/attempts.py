@@ -132,9 +132,9 @@ class Attempts(Progress):
             number: of their roadmaps.
             known: of roadmaps that were kept, in the order of `ids`.
         """
+        seen = self.problems._replace(scene=without_points(self.problems.scene))
         for part, padded in in_chunks(np.arange(len(entering)), self.chunk):
             chosen, padded = entering[part], entering[padded]
-            seen = self.problems._replace(scene=without_points(self.problems.scene))
             problems = jax.tree.map(lambda x, at=ids[padded]: x[at], seen)
             entered = self.strategy.enter(
                 self.clock,

@@ -12,14 +12,10 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import compile_certificates
-from gnnjax.collision.certify import proven_clearance
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.margins import proven_clearance
 from gnnjax.collision.sequences import SequenceTester
-from gnnjax.devices import (
-    Share,
-    shares_of,
-    side_by_side,
-)
+from gnnjax.devices import Share, shares_of, side_by_side
 from gnnjax.errors import InputError, check_seed
 from gnnjax.planning.engine import Run
 from gnnjax.planning.goals import find_goals, plan_to_cheapest

@@ -19,7 +19,8 @@ from typing import IO, Any
 import jax
 import numpy as np
 
-from gnnjax.devices import num_cores
+from gnnjax.arm.robot import Robot
+from gnnjax.devices import deal, gather, num_cores
 from gnnjax.errors import InputError, is_out_of_memory
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
@@ -71,7 +72,7 @@ class PlannerProcesses:
             raise
 
     @property
-    def robot(self) -> Any:
+    def robot(self) -> Robot:
         """The arm."""
         return self._planner.robot
 
@@ -89,25 +90,22 @@ class PlannerProcesses:
             InputError: a process has ended.
         """
         problems = jax.tree.map(np.asarray, problems)
-        num = len(problems.start)
-        count = max(1, min(len(self._workers), num // LEAST_SHARE))
         weights = jax.tree.map(np.asarray, self._planner.strategy.weights)
-        shares = [np.arange(i, num, count) for i in range(count)]
-        parts = [jax.tree.map(lambda x, at=at: x[at], problems) for at in shares]
+        dealt = self._deal(len(problems.start))
+        parts = [jax.tree.map(lambda x, at=at: x[at], problems) for at in dealt]
         found = self._call([("plan_batch", (weights, part, seed, trajectory)) for part in parts])
-        plans: list[Any] = [None] * num
-        for share, some in zip(shares, found, strict=True):
-            for number, plan in zip(share, some, strict=True):
-                plans[number] = plan._replace(
-                    planning_time_s=plan.planning_time_s / count,
-                    total_time_s=plan.total_time_s / count,
-                )
-        return plans
+        return [
+            plan._replace(
+                planning_time_s=plan.planning_time_s / len(dealt),
+                total_time_s=plan.total_time_s / len(dealt),
+            )
+            for plan in gather(dealt, found)
+        ]
 
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         """See `Planner.warm_up`."""
-        share = -(-batch_size // max(1, min(len(self._workers), batch_size // LEAST_SHARE)))
-        asked = "warm_up", (jax.tree.map(np.asarray, scene), share)
+        most = max(map(len, self._deal(batch_size)))
+        asked = "warm_up", (jax.tree.map(np.asarray, scene), most)
         self._call([asked])
         # The others find in the cache what the first has compiled.
         self._call([asked] * len(self._workers))
@@ -126,6 +124,9 @@ class PlannerProcesses:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _deal(self, num: int) -> list[np.ndarray]:
+        return deal(num, len(self._workers), LEAST_SHARE)
 
     def _call(self, asked: Sequence[tuple[str, tuple]]) -> list[Any]:
         """Asks the first processes, each a function with arguments, and waits for all of them."""
@@ -173,19 +174,20 @@ class _Worker:
             # An accelerator that this process leaves alone is none of theirs either.
             env=os.environ | {"JAX_PLATFORMS": "cpu"},
         )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._questions, self._answers = self._process.stdin, self._process.stdout
         self.send(number)
         self.send(sent)
 
     def send(self, what: Any) -> None:
-        assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):  # `receive` says it
-            _write(self._process.stdin, what)
+            _write(self._questions, what)
 
     def receive(self) -> tuple[Any, Exception | None]:
         """An answer, or why there is none."""
-        assert self._process.stdout is not None
         try:
-            return pickle.load(self._process.stdout)
+            return pickle.load(self._answers)
         except (EOFError, pickle.UnpicklingError):
             raise InputError(
                 f"a process of the planner has ended (status {self._process.wait()}), perhaps for "
@@ -194,9 +196,9 @@ class _Worker:
 
     def kill(self) -> None:
         self._process.kill()
-        for pipe in (self._process.stdin, self._process.stdout):
+        for pipe in (self._questions, self._answers):
             with contextlib.suppress(BrokenPipeError):
-                pipe.close()  # type: ignore[union-attr]
+                pipe.close()
         self._process.wait()
 
 
