@@ -14,7 +14,6 @@ out over its edges. Then pairs and resolutions plan problems drawn for validatio
 
 import dataclasses
 import functools
-import hashlib
 import itertools
 import json
 from collections.abc import Iterator, Sequence
@@ -33,7 +32,7 @@ from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import ratio_of_means, summarize_seeds
 from experiments.tables import cell, interval, markdown
-from experiments.turns import kept
+from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.guide.field import CALIBRATION, CELLS, SPACING, field_guide
 from gnnjax.planning.load import own_planner
@@ -76,10 +75,9 @@ def measurement(config: CalibrateFieldConfig) -> Measurement:
     for name in ("robots", "plan_robots"):
         settings[name] = [Path(robot).stem for robot in settings[name]]
     settings = json.loads(json.dumps(settings))
-    digest = hashlib.sha256(json.dumps(settings).encode()).hexdigest()[:8]
     head = {"settings": settings | {"seed": config.seeds[0]}, "calibration": list(CALIBRATION)}
     head |= {"default": {"cells": CELLS, "spacing": SPACING}}
-    return Measurement(_rows(config, config.runs / f"calibrate_field_{digest}"), head)
+    return Measurement(_rows(config, folder_of(config.runs, "calibrate_field", settings)), head)
 
 
 def _rows(config: CalibrateFieldConfig, folder: Path) -> Iterator[Row]:

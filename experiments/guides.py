@@ -19,8 +19,6 @@ checking and pays nothing for it but time; it bounds what a guide can do on thes
 
 import dataclasses
 import functools
-import hashlib
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,7 +34,7 @@ from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import summarize_seeds
 from experiments.tables import cell, listing, markdown, span
-from experiments.turns import kept
+from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError
 from gnnjax.planning.load import own_planner
@@ -81,8 +79,7 @@ def measurement(config: GuidesConfig) -> Measurement:
         "family_problems": config.family_problems,
     }
     head = {"settings": settings | {"seed": config.seeds[0], "scenes": config.scenes}}
-    digest = hashlib.sha256(json.dumps(settings).encode()).hexdigest()[:8]
-    return Measurement(_rows(config, config.runs / f"guides_{digest}"), head)
+    return Measurement(_rows(config, folder_of(config.runs, "guides", settings)), head)
 
 
 def _rows(config: GuidesConfig, folder: Path) -> Iterator[Row]:

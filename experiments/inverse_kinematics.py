@@ -15,8 +15,6 @@ compiled, and for ours also of all in one call.
 
 import dataclasses
 import functools
-import hashlib
-import json
 import time
 from collections.abc import Callable, Iterator
 
@@ -29,7 +27,7 @@ from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import proportion
 from experiments.tables import markdown
-from experiments.turns import kept
+from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.certify import is_self_free
 from gnnjax.errors import InputError
@@ -65,9 +63,8 @@ def measurement(config: InverseKinematicsConfig) -> Measurement:
 def _rows(config: InverseKinematicsConfig) -> Iterator[Row]:
     for arm in (config.robot,) if config.robot else config.arms:
         robot, seed = load_robot(arm), config.seeds[0]
-        text = json.dumps([config.num_poses, seed]).encode() + robot.path.read_bytes()
-        digest = hashlib.sha256(text).hexdigest()[:8]
-        folder = config.runs / f"inverse_kinematics_{robot.name}_{digest}"
+        told = [config.num_poses, seed]
+        folder = folder_of(config.runs, f"inverse_kinematics_{robot.name}", told, robot.path)
         poses = reachable_poses(robot, config.num_poses, seed)
         for solver, measure in MEASURES.items():
             path = folder / f"{solver.replace(' ', '_').replace(',', '')}.json"

@@ -19,8 +19,6 @@ certified afterwards. VAMP's costs, where a set has them, are its authors' own.
 
 import dataclasses
 import functools
-import hashlib
-import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -44,7 +42,7 @@ from experiments.moveit_folder import problems_of_folder
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.style import label
-from experiments.turns import Columns, joined, kept, per_s, summarize, summarize_turn
+from experiments.turns import Columns, folder_of, joined, kept, per_s, summarize, summarize_turn
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig
@@ -89,9 +87,7 @@ def measurement(config: MotionBenchMakerConfig) -> Measurement:
         "seed": config.seeds[0],
     }
     told = {name: problems.extras[name] for name in PUBLISHED if name in problems.extras}
-    # What other settings have measured lies elsewhere.
-    digest = hashlib.sha256(json.dumps(settings).encode() + path.read_bytes()).hexdigest()[:8]
-    folder = config.runs / f"motion_bench_maker_{path.stem}_{digest}"
+    folder = folder_of(config.runs, f"motion_bench_maker_{path.stem}", settings, path)
 
     def case(planner: str) -> EvaluateConfig:
         limit = np.inf if planner == OWN else config.time_limit

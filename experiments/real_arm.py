@@ -17,8 +17,6 @@ contact, ends at rest at the goal, and no joint swings (`carried_out.py`).
 
 import dataclasses
 import functools
-import hashlib
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -36,7 +34,7 @@ from experiments.results import Row
 from experiments.statistics import proportion
 from experiments.style import draw_bars, label
 from experiments.tables import cell, interval, markdown
-from experiments.turns import kept
+from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.planning.load import make_planner
@@ -93,9 +91,8 @@ def _rows(config: RealArmConfig, settings: Row) -> Iterator[Row]:
             # Of the set that other experiments use, the first.
             num = config.num_problems if config.quick else max(300, config.num_problems)
             path = problem_set(config, arm, family=family, num_problems=num)
-            text = json.dumps([settings, config.seeds[0]]).encode() + path.read_bytes()
-            digest = hashlib.sha256(text).hexdigest()[:8]
-            folder = config.runs / f"real_arm_{path.stem}_{digest}"
+            told = [settings, config.seeds[0]]
+            folder = folder_of(config.runs, f"real_arm_{path.stem}", told, path)
             problems = load_problems(path, load_robot(arm)).take(slice(config.num_problems))
             for planner in PLANNERS[: 3 if arm == _PAPER_ARM else 2]:
                 for row in _rows_of(config, arm, planner, path, problems.problems, folder):

@@ -25,8 +25,6 @@ certified afterwards, on the wall clock but not in the total time.
 
 import dataclasses
 import functools
-import hashlib
-import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,7 +48,7 @@ from experiments.measure import ExperimentConfig
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.style import label
-from experiments.turns import Columns, kept, per_s, summarize, summarize_turn
+from experiments.turns import Columns, folder_of, kept, per_s, summarize, summarize_turn
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig
@@ -108,9 +106,7 @@ def measurement(config: ThroughputConfig) -> Measurement:
         "processes": config.processes,
         "seed": config.seeds[0],
     }
-    # What other settings have measured lies elsewhere.
-    digest = hashlib.sha256(json.dumps(settings).encode()).hexdigest()[:8]
-    folder = config.runs / f"throughput_{path.stem}_{digest}"
+    folder = folder_of(config.runs, f"throughput_{path.stem}", settings)
 
     def case(planner: str) -> EvaluateConfig:
         limit = config.time_limit if planner.startswith("ompl:") else np.inf

@@ -1,5 +1,6 @@
 """What contenders needed for the same problems, turn by turn: kept in files, and summed up."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,13 @@ from gnnjax.files import atomic_write, check_target
 from gnnjax.measure.statistics import describe
 
 Columns = dict[str, Any]  # a turn as it is kept: the clock, and a list for each quantity
+
+
+def folder_of(runs: Path, name: str, settings: Any, *files: Path) -> Path:
+    """Where is kept what was measured with settings and files; what others have measured lies
+    elsewhere."""
+    told = json.dumps(settings).encode() + b"".join(file.read_bytes() for file in files)
+    return runs / f"{name}_{hashlib.sha256(told).hexdigest()[:8]}"
 
 
 def kept(path: Path, measure: Callable[[], Any]) -> Any:
