@@ -1,10 +1,11 @@
 """Errors that a person can act on, in one line."""
 
+import dataclasses
 import errno
 import reprlib
 import sys
 from collections.abc import Callable
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import jax
 
@@ -48,6 +49,14 @@ _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 60
 def brief(value: object) -> str:
     """The `repr` of a value from a file, however large it is or deep."""
     return _REPR.repr(value)
+
+
+def check_option_names(kind: type, options: dict[str, Any], of: str) -> None:
+    """Raises for the name of an option that is no field of a dataclass."""
+    known = [field.name for field in dataclasses.fields(kind)]
+    unknown = sorted(options.keys() - set(known))
+    if unknown:
+        raise InputError(f"no option {unknown[0]!r} of {of}; there are {known}")
 
 
 def is_out_of_memory(error: Exception) -> bool:

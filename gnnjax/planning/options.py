@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 from gnnjax.collision.checker import EDGE_RESOLUTION
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_option_names
 
 DEFAULT_MAX_ROADMAPS = 8
 CHEAP = 10.0  # us; a check that takes longer is dearer than a look at the guide
@@ -85,10 +85,7 @@ def make_options(planner: str, **options: Any) -> PlannerOptions:
     Raises:
         InputError: a name that is no option.
     """
-    known = [field.name for field in dataclasses.fields(PlannerOptions)]
-    unknown = sorted(options.keys() - set(known))
-    if unknown:
-        raise InputError(f"no option {unknown[0]!r} of a planner; there are {known}")
+    check_option_names(PlannerOptions, options, "a planner")
     if options.get("weights") is not None:
         options["weights"] = Path(options["weights"])
     return PlannerOptions(planner=planner, **options)

@@ -7,7 +7,7 @@ import numpy as np
 import tyro
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_option_names
 from gnnjax.trajectory.limits import Amounts, Limits, limits_of
 
 # What Python takes in any form is a list of numbers on a command line.
@@ -44,10 +44,7 @@ def make_motion_options(**options: Any) -> MotionOptions:
     Raises:
         InputError: a name that is no option.
     """
-    known = [field.name for field in dataclasses.fields(MotionOptions)]
-    unknown = sorted(options.keys() - set(known))
-    if unknown:
-        raise InputError(f"no option {unknown[0]!r} of a motion; there are {known}")
+    check_option_names(MotionOptions, options, "a motion")
     return MotionOptions(**options)
 
 
