@@ -10,6 +10,7 @@ import pytest
 from jaxtyping import _decorator
 
 from gnnjax.arm import covers
+from gnnjax.arm.robot import load_robot
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 
@@ -81,6 +82,12 @@ def tiny_path(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "tiny.xml"
     path.write_text(TINY)
     return path
+
+
+@pytest.fixture(scope="session")
+def tiny(tiny_path):
+    """That arm, which reaches 1 m."""
+    return load_robot(tiny_path)
 
 
 @pytest.fixture(scope="module")

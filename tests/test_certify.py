@@ -14,9 +14,9 @@ from gnnjax.collision.certify import (
     clearances,
     configuration_clearance,
     path_clearance,
-    proven_clearance,
 )
 from gnnjax.collision.gaps import Moments, gaps_of
+from gnnjax.collision.margins import proven_clearance
 from gnnjax.collision.obstacles import obstacles_of
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_query

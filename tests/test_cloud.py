@@ -52,11 +52,6 @@ def crane(tmp_path_factory):
     return load_robot(path)
 
 
-@pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)
-
-
 def draw(rng, kind):
     if kind == "blob":
         return rng.normal(0, 0.25, (400, 3)) + rng.normal(0, 0.4, 3)

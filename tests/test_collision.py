@@ -89,11 +89,6 @@ class Engine:
 
 
 @pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)
-
-
-@pytest.fixture(scope="module")
 def tiny_checker(tiny):
     return make_checker(tiny)
 

@@ -40,11 +40,6 @@ THINGS = {
 
 
 @pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)
-
-
-@pytest.fixture(scope="module")
 def holding(tiny):
     return tiny.attach("lower", list(THINGS.values()), mass=2.0)
 

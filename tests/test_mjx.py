@@ -57,11 +57,6 @@ MIXED = """
 
 
 @pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)
-
-
-@pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "mixed.xml"
     path.write_text(MIXED)

@@ -52,11 +52,6 @@ CAPSULE = """
 
 
 @pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)
-
-
-@pytest.fixture(scope="module")
 def stick(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "stick.xml"
     path.write_text(CAPSULE)

@@ -57,11 +57,6 @@ def six(tmp_path_factory):
     return load_robot(path)
 
 
-@pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)
-
-
 def by_mujoco(robot, q, name="tool"):
     """Where MuJoCo's C engine has a site or body: position, rotation, and how q moves them."""
     model = robot.mj_model

@@ -2,9 +2,7 @@
 
 import mujoco
 import numpy as np
-import pytest
 
-from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.scene import make_scene
@@ -21,11 +19,6 @@ from gnnjax.trajectory.trajectory import time_path
 from tests.fine_scan import collides_anywhere, random_scene
 
 NOTHING = make_scene([], [])
-
-
-@pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)
 
 
 def certified_paths(robot, number, obstacles=5, seed=0):

@@ -2,18 +2,12 @@
 
 import pytest
 
-from gnnjax.arm.robot import load_robot
 from gnnjax.planning.query import check_query
 from gnnjax.scene.scene import scene_from_shapes
 from gnnjax.scene.shapes import box, half_space, sphere
 from gnnjax.scene.units import doubtful_units
 
 FLOOR = half_space([0.0, 0.0, -600.0], [0.0, 0.0, 1.0])
-
-
-@pytest.fixture(scope="module")
-def tiny(tiny_path):
-    return load_robot(tiny_path)  # reaches 1 m
 
 
 @pytest.mark.parametrize(
