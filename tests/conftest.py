@@ -1,5 +1,6 @@
 """Settings and robots that several test files share."""
 
+import atexit
 import functools
 import gc
 import os
@@ -7,10 +8,13 @@ from pathlib import Path
 
 import jax
 import pytest
+from jax._src.api import clean_up
 from jaxtyping import _decorator
 
 from gnnjax.arm import covers
 from gnnjax.arm.robot import load_robot
+from gnnjax.collision import sequences
+from gnnjax.planning import attempts, pool
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 
@@ -19,7 +23,8 @@ from gnnjax.planning.options import PlannerOptions
 _SETTINGS = {
     "jax_disable_most_optimizations": True,
     "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".pytest_cache" / "jax"),
-    "jax_persistent_cache_min_compile_time_secs": 0.0,
+    # Small programs take no longer to compile than to write and read.
+    "jax_persistent_cache_min_compile_time_secs": 0.1,
 }
 for _name, _value in _SETTINGS.items():
     jax.config.update(_name, _value)
@@ -33,6 +38,15 @@ if jax.__version_info__ < (0, 11):  # where the flags are known
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FLAGS}"
 # Arms that tests make up have few spheres a part, which leave more to the parts themselves.
 covers._MOST = 3
+# Calls are of one size each, where sizes are not what a test is about.
+_ONE_SIZE = [
+    (sequences, "_BLOCKS", (64, 64, 64)),
+    (pool, "_SIZES", (16, 64, 256)),
+    (attempts, "_CHUNKS", (2, 2)),
+]
+_ALL_SIZES = [(module, name, getattr(module, name)) for module, name, _ in _ONE_SIZE]
+for _setting in _ONE_SIZE:
+    setattr(*_setting)
 
 
 def _once(make):
@@ -113,13 +127,25 @@ def evaluate_with_one_planner(planner_once):
         yield
 
 
+@pytest.fixture(scope="module")
+def all_sizes():
+    """Calls of all sizes: what comes out must not depend on which are filled."""
+    with pytest.MonkeyPatch.context() as patch:
+        for setting in _ALL_SIZES:
+            patch.setattr(*setting)
+        yield
+
+
 @pytest.fixture
 def experiments_remember(monkeypatch):
-    """Experiments keep one planner, and forget what others have compiled; here all is kept."""
-    from experiments import measure
+    """Experiments keep one planner, and forget what others have compiled; here all is kept. Their
+    figures are small."""
+    from experiments import measure, record
 
     monkeypatch.setattr("jax.clear_caches", lambda: None)
     monkeypatch.setattr(measure, "_planner", functools.cache(measure._planner.__wrapped__))
+    save = record.save_figure
+    monkeypatch.setattr(record, "save_figure", lambda *x: (x[0].set_dpi(20), save(*x)))
 
 
 def pytest_collection_finish():
@@ -135,6 +161,13 @@ _LONG = (
     "guides experiments allowed train_motion notebooks engine mjcf search classical certify "
     "holding benchmark_collision convex field ablation fit roadmap rounds assets"
 ).split()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish():
+    """Leaves the freeing of all that was compiled to the system."""
+    gc.freeze()
+    atexit.unregister(clean_up)
 
 
 def pytest_collection_modifyitems(items):

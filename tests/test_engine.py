@@ -20,6 +20,8 @@ from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
 from tests.test_guided_planner import check_path, one, random_problem, same
 
+pytestmark = pytest.mark.usefixtures("all_sizes")
+
 NUM = 16  # scenes, and their shares, fill one padded number: kernels are compiled once
 
 

@@ -36,6 +36,8 @@ WALLED = make_scene(
     [[0.6, 0, 0], [-0.6, 0, 0], [0, 0, 1.2]], [[0.45, 0.02, 1], [0.45, 0.02, 1], [0.5, 0.02, 0.9]]
 )
 
+pytestmark = pytest.mark.usefixtures("all_sizes")
+
 
 @pytest.fixture(scope="module")
 def robot(tiny_path):

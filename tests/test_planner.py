@@ -1,6 +1,5 @@
 """Planning a query end to end, and what bad input gets."""
 
-import dataclasses
 import functools
 import json
 import subprocess
@@ -227,22 +226,24 @@ def test_the_command_plans_for_what_is_held(tiny_path, tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     scene = {"boxes": [{"center": [0.9, 0, 0.6], "half_extents": [0.3, 0.1, 0.1]}]}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
-    rod = {"center": [0.2, 0, 0], "half_extents": [0.02, 0.02, 0.6]}
-    (tmp_path / "rod.json").write_text(json.dumps({"body": "lower", "boxes": [rod]}))
+    ball = {"center": [0.2, 0, 0.6], "radius": 0.05}
+    (tmp_path / "ball.json").write_text(json.dumps({"body": "lower", "spheres": [ball]}))
     ends = {"start": (-1.0, 0.0, 0.0), "goal": (1.0, 0.0, 0.0)}
     options = {"planner": "lazysp", "num_nodes": 60}
-    config = PlanConfig(scene=Path("scene.json"), robot=str(tiny_path), **ends, **options)
-    held = dataclasses.replace(config, attach=Path("rod.json"), out=Path("held.npz"))
-    assert plan_once(config) == plan_once(held) == 0
+    held = PlanConfig(
+        scene=Path("scene.json"), robot=str(tiny_path), attach=Path("ball.json"), **ends, **options
+    )
+    assert plan_once(held) == 0
     robots = [load_robot(tiny_path)]
-    robots.append(attach_from_json(robots[0], "rod.json"))
+    robots.append(attach_from_json(robots[0], "ball.json"))
     scene = scene_from_json("scene.json")
-    paths = [np.load(file)["path"] for file in ("path.npz", "held.npz")]
+    found = np.load("path.npz")
+    paths = [list(ends.values()), found["path"]]
     proven = [[certify_path(robot, scene, path) for path in paths] for robot in robots]
     assert proven == [[True, True], [False, True]]
-    assert "tiny_holding_" in str(np.load("held.npz")["robot"])
-    (tmp_path / "rod.json").write_text('{"boxes": []}')
-    with pytest.raises(InputError, match=r"file to attach 'rod\.json' names no body"):
+    assert "tiny_holding_" in str(found["robot"])
+    (tmp_path / "ball.json").write_text('{"boxes": []}')
+    with pytest.raises(InputError, match=r"file to attach 'ball\.json' names no body"):
         plan_once(held)
 
 

@@ -15,6 +15,8 @@ from gnnjax.scene.scene import make_scene
 from tests.draws import random_configurations
 from tests.fine_scan import random_scene
 
+pytestmark = pytest.mark.usefixtures("all_sizes")
+
 NUM_SCENES = 3
 
 
