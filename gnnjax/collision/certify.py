@@ -54,7 +54,7 @@ def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
 
 def certify_edges(
     robot: Robot,
-    scene: Scene,
+    scene: Scene | Obstacles,
     starts: ArrayLike,
     ends: ArrayLike,
     owner: ArrayLike | None = None,
@@ -68,7 +68,7 @@ def certify_edges(
 
     Args:
         robot: the arm, with spheres and capsules as collision geoms.
-        scene: one scene, or P scenes `[P, M, ...]`.
+        scene: one scene, or P scenes `[P, M, ...]`; or their `known_obstacles`.
         starts: `[E, D]` configurations.
         ends: `[E, D]` configurations.
         owner: `[E]`, in which of P scenes each edge is; None for one scene.
@@ -83,8 +83,8 @@ def certify_edges(
         raise InputError(f"slack {brief(slack)} for {len(starts)} edges; give lengths, a row each")
     if len(starts) != len(ends):
         raise InputError(f"{len(starts)} starts and {len(ends)} ends; give one of each an edge")
-    owner = owners_of(scene, owner, len(starts))
-    obstacles = _obstacles(robot, scene)
+    obstacles = known_obstacles(robot, scene)
+    owner = owners_of(obstacles, owner, len(starts))
     certified = _within_limits(robot, starts) & _within_limits(robot, ends)
     inside = np.flatnonzero(certified)
     for first in range(0, len(inside), _EDGES_A_BLOCK):
@@ -152,8 +152,15 @@ def _within_limits(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.all(inside, axis=1)
 
 
-def _obstacles(robot: Robot, scene: Scene) -> Obstacles:
-    """What the scene or scenes hold; contacts that are meant must be of this arm."""
+def known_obstacles(robot: Robot, scene: Scene | Obstacles) -> Obstacles:
+    """What the scene or scenes hold, for all that is asked of them for an arm.
+
+    Raises:
+        InputError: a scene that nothing can be proven in, or contacts that are meant of another
+            arm.
+    """
+    if isinstance(scene, Obstacles):
+        return scene
     check_allowed(robot, scene)
     return obstacles_of(scene)
 
@@ -191,7 +198,7 @@ def _cut(
 
 def clearances(
     robot: Robot,
-    scene: Scene,
+    scene: Scene | Obstacles,
     q: np.ndarray,
     owner: np.ndarray | None = None,
     most: float = np.inf,
@@ -204,13 +211,14 @@ def clearances(
 
     Args:
         robot: the arm.
-        scene: one scene, or P scenes `[P, M, ...]`.
+        scene: one scene, or P scenes `[P, M, ...]`; or their `known_obstacles`.
         q: configurations.
         owner: `[B]`, in which of P scenes each is; None for one scene.
         most: what is farther away than this [m] may count as if it were nothing.
     """
     q = _configurations(robot, "q", q)
-    owner, obstacles = owners_of(scene, owner, len(q)), _obstacles(robot, scene)
+    obstacles = known_obstacles(robot, scene)
+    owner = owners_of(obstacles, owner, len(q))
     body = spheres_of(robot)
     rates = body.same_rates(most)
     found = np.where(np.isfinite(q).all(axis=1), np.inf, np.nan)
@@ -233,15 +241,16 @@ def is_self_free(robot: Robot, q: np.ndarray) -> np.ndarray:
     return clearances(robot, make_scene([], []), q, most=0.0) > 0
 
 
-def base_clear(robot: Robot, scene: Scene) -> np.ndarray:
+def base_clear(robot: Robot, scene: Scene | Obstacles) -> np.ndarray:
     """Whether the arm's base is clear of each box, `[M]`, or `[P, M]` in P scenes.
 
     The base is what no joint moves, which certificates and clearances leave out. True where no box
     is. Capsules count as chains of spheres here, too. One more tells of the cloud, where scenes
     have one.
     """
-    clear = clear_of_base(spheres_of(robot), _obstacles(robot, scene)).T
-    return clear.reshape(*np.shape(scene.mask)[:-1], clear.shape[1])
+    obstacles = known_obstacles(robot, scene)
+    clear = clear_of_base(spheres_of(robot), obstacles).T
+    return clear if obstacles.is_batch else clear[0]
 
 
 def check_scene(scene: Scene) -> None:

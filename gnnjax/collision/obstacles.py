@@ -19,8 +19,9 @@ _QUAT_ERROR = 1e-4  # how far from 1 a quaternion's length may be
 
 
 class Obstacles:
-    """The existing obstacles of P scenes, in double precision."""
+    """The existing obstacles of P scenes, or of one, in double precision."""
 
+    is_batch: bool  # whether they are of P scenes
     exists: np.ndarray  # [M P]
     centers: np.ndarray  # [3 M P] m; any obstacle lies in the ball of its radius about its center
     radii: np.ndarray  # [M P] m
@@ -29,6 +30,7 @@ class Obstacles:
 
     def __init__(self, scenes: Scene):
         mask, centers, half_extents, quats, radii = _arrays(scenes)
+        self.is_batch = np.ndim(scenes.mask) == 2
         self.exists = mask.T
         # What does not exist may hold anything.
         self.centers, sizes, quats, radii = (
@@ -201,12 +203,12 @@ def sum_of_squares(parts: np.ndarray | list[np.ndarray]) -> np.ndarray:
     return total
 
 
-def owners_of(scene: Scene, owner: ArrayLike | None, num: int) -> np.ndarray:
+def owners_of(obstacles: Obstacles, owner: ArrayLike | None, num: int) -> np.ndarray:
     """The scene of each of `num` edges, or what is wrong with them."""
-    if np.ndim(scene.mask) < 2 and owner is None:
+    if not obstacles.is_batch and owner is None:
         return np.zeros(num, int)
     array = np.asarray(owner)
-    num_scenes = len(scene.mask) if np.ndim(scene.mask) == 2 else 0
+    num_scenes = obstacles.exists.shape[1] if obstacles.is_batch else 0
     good = array.shape == (num,) and array.dtype.kind in "iu"
     if not good or not ((array >= 0) & (array < num_scenes)).all():
         raise InputError(

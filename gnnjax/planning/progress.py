@@ -5,7 +5,8 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
-from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.certify import certify_edges, known_obstacles
+from gnnjax.collision.obstacles import Obstacles
 from gnnjax.collision.sequences import Outcome
 from gnnjax.planning.query import Plan, make_plan, path_length
 from gnnjax.problems.problem import Problem
@@ -31,6 +32,7 @@ class Progress:
         self.sampling_checks = np.full(num, 2)  # start and goal
         self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
         self.planning_time, self.total_time = np.zeros((2, num))
+        self._known: tuple[np.ndarray, Obstacles] | None = None
 
     def open(self, time_limit: float) -> np.ndarray:
         """Which problems have no path, time left and, if need be, roadmaps left, `[P]`."""
@@ -63,10 +65,9 @@ class Progress:
         if not len(ids):
             return []
         steps = np.array([len(path) - 1 for path in paths])
-        scenes = jax.tree.map(lambda x: x[ids], self.problems.scene)
         certified = certify_edges(
             self.robot,
-            scenes,
+            self._obstacles_of(ids),
             np.concatenate([path[:-1] for path in paths]),
             np.concatenate([path[1:] for path in paths]),
             np.repeat(np.arange(len(ids)), steps),
@@ -77,6 +78,13 @@ class Progress:
             if good.all() and (known is None or path_length(path) < path_length(known)):
                 self.paths[i] = path
         return found
+
+    def _obstacles_of(self, ids: np.ndarray) -> Obstacles:
+        """What the scenes of some problems hold. A lone query asks for the same again and again."""
+        if self._known is None or not np.array_equal(self._known[0], ids):
+            scenes = jax.tree.map(lambda x: x[ids], self.problems.scene)
+            self._known = ids, known_obstacles(self.robot, scenes)
+        return self._known[1]
 
     def certify_routes(
         self, ids: np.ndarray, rows: np.ndarray, routes: Route, edges: np.ndarray

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import base_clear, check_scene, clearances
+from gnnjax.collision.certify import base_clear, check_scene, clearances, known_obstacles
 from gnnjax.collision.obstacles import scene_faults
 from gnnjax.errors import InputError, one_line
 from gnnjax.problems.problem import Problem
@@ -126,10 +126,11 @@ def check_queries(robot: Robot, problems: Problem, margin: float = 0.0) -> list[
     scenes = jax.tree.map(lambda x: np.asarray(x)[rows], problems.scene)
     ends = np.concatenate([starts[rows], goals[rows]])
     owner = np.tile(np.arange(len(rows)), 2)
-    thick = inflated(scenes, margin)
+    known = known_obstacles(robot, scenes)
+    thick = inflated(scenes, margin) if margin else known
     clearance = clearances(robot, thick, ends, owner, most=0.0).reshape(2, -1)
     found = [
-        _base_reasons(robot, scenes),
+        _base_reasons(robot, scenes, base_clear(robot, known)),
         _end_reasons(robot, "start", scenes, starts[rows], clearance[0], margin),
         _end_reasons(robot, "goal", scenes, goals[rows], clearance[1], margin),
     ]
@@ -138,22 +139,20 @@ def check_queries(robot: Robot, problems: Problem, margin: float = 0.0) -> list[
     return [reason and one_line(reason) for reason in reasons]
 
 
-def _base_reasons(robot: Robot, scenes: Scene) -> list[str | None]:
-    """Which obstacle stands in the base, for each of P scenes."""
-    reasons: list[str | None] = []
-    for i, row in enumerate(base_clear(robot, scenes)):
-        reason = None
+def _base_reasons(robot: Robot, scenes: Scene, clear: np.ndarray) -> list[str | None]:
+    """Which obstacle stands in the base, for each of P scenes, of which some are clear `[P M]`."""
+    reasons: list[str | None] = [None] * len(clear)
+    for i in np.flatnonzero(~clear.all(axis=1)).tolist():
         scene = jax.tree.map(lambda x, i=i: x[i], scenes)
         # Spheres stand out of the base, and it stands on something.
-        for touching in np.flatnonzero(~row).tolist():
+        for touching in np.flatnonzero(~clear[i]).tolist():
             depth = depth_in_base(robot, scene, touching)
             if depth > BASE_CONTACT:
-                reason = (
+                reasons[i] = (
                     f"{obstacle_name(scene, touching)} of the scene reaches {1e3 * depth:.0f} mm "
                     f"into the base of {robot.name}; move it away"
                 )
                 break
-        reasons.append(reason)
     return reasons
 
 

@@ -190,25 +190,28 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
     place_boxes(model, data, scene._replace(cloud=None, allowed=None))
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
-    parts, pairs = robot.part_geom_ids.tolist(), robot.part_pairs.tolist()
+    parts, names = robot.part_geom_ids.tolist(), [part.name for part in robot.parts]
     found = [
-        (depth_of(model, data, parts[a], parts[b]), robot.parts[a].name, robot.parts[b].name)
-        for a, b in pairs
+        (depth_of(model, data, parts[a], parts[b]), names[a], names[b])
+        for a, b in robot.part_pairs.tolist()
     ]
     placed = obstacles(model, len(scene.mask)).geoms
     moving = [number for number, g in enumerate(parts) if _is_moved(model, g)]
     for i in np.flatnonzero(scene.mask).tolist():
-        name = obstacle_name(scene, i)
         found += [
-            (depth_of(model, data, parts[number], int(placed[i])), robot.parts[number].name, name)
+            (depth_of(model, data, parts[number], int(placed[i])), names[number], i)
             for number in moving
             if not _is_meant(scene, i, robot.parts[number].body)
         ]
     depth, part = _depth_in_cloud(robot, scene, model, q, moved=True)
     if depth > 0:
         found.append((depth, f"the spheres around {part}", "the cloud"))
-    depth, first, second = max(found, default=(0.0, "", ""))
-    return Contact(first, second, depth) if depth > 0 else None
+    depth, first, second = max(found, key=lambda one: one[0], default=(0.0, "", ""))
+    if depth <= 0:
+        return None
+    return Contact(
+        first, obstacle_name(scene, second) if isinstance(second, int) else second, depth
+    )
 
 
 def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
