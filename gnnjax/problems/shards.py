@@ -36,12 +36,28 @@ def load_problems(path: str | Path, robot: Robot) -> ProblemSet:
     return _load_shards(path, robot) if path.is_dir() else load_file(path, robot)
 
 
-def save_shard(
-    folder: str | Path, index: int, problem_set: ProblemSet, *, seed: int, settings: dict[str, Any]
-) -> None:
-    """Writes shard `index` of a larger set, then enters it in the folder's manifest.
+def shard_name(index: int) -> str:
+    """File of a shard, counted from 0."""
+    return f"shard_{index:05d}.npz"
 
-    A run that was cut short goes on where the manifest ends. One writer at a time.
+
+def manifest_of(process: int) -> str:
+    """Manifest of the shards that one of several processes has made, until all are there."""
+    return f"shard_manifest_{process:05d}.json"
+
+
+def save_shard(
+    folder: str | Path,
+    index: int,
+    problem_set: ProblemSet,
+    *,
+    seed: int,
+    settings: dict[str, Any],
+    manifest_name: str = MANIFEST,
+) -> None:
+    """Writes shard `index` of a larger set, then enters it in a manifest of the folder.
+
+    A run that was cut short goes on where the manifest ends. One writer of a manifest at a time.
 
     Args:
         folder: made if missing.
@@ -49,22 +65,61 @@ def save_shard(
         problem_set: the problems of this shard.
         seed: of the whole set.
         settings: of the generator, as JSON.
+        manifest_name: that of the folder, or of one of several processes.
 
     Raises:
         InputError: the folder holds a set of another robot, seed, settings or code version.
     """
-    folder, file = Path(folder), f"shard_{index:05d}.npz"
+    folder, file = Path(folder), shard_name(index)
     ours = origin(problem_set.robot, seed, settings)
     shards: list[dict[str, Any]] = []
-    if (folder / MANIFEST).exists():
-        manifest = read_manifest(folder)
+    if (folder / manifest_name).exists():
+        manifest = read_manifest(folder, manifest_name)
         check_origin(folder, manifest, ours)
         shards = [shard for shard in manifest["shards"] if shard["file"] != file]
     save_problems(folder / file, problem_set)
     shards.append({"file": file, "problems": len(problem_set), "sha256": _sha256(folder / file)})
+    _write_manifest(folder / manifest_name, ours, shards)
+
+
+def _write_manifest(path: Path, ours: dict[str, Any], shards: list[dict[str, Any]]) -> None:
     shards.sort(key=lambda shard: shard["file"])
     text = json.dumps({**ours, "shards": shards}, indent=1) + "\n"
-    atomic_write(folder / MANIFEST, lambda out: out.write_text(text, encoding="utf-8"))
+    atomic_write(path, lambda out: out.write_text(text, encoding="utf-8"))
+
+
+def known_shards(folder: Path, ours: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """What the manifests of a folder say of each file, whichever process has made it; often once.
+
+    Raises:
+        InputError: they are of another set.
+    """
+    known: dict[str, list[dict[str, Any]]] = {}
+    for path in _manifests(folder):
+        manifest = read_manifest(folder, path.name)
+        check_origin(folder, manifest, ours)
+        for shard in manifest["shards"]:
+            known.setdefault(shard["file"], []).append(shard)
+    return known
+
+
+def join_manifests(folder: Path, ours: dict[str, Any]) -> None:
+    """Makes one manifest of those that several processes have left."""
+    parts = [path for path in _manifests(folder) if path.name != MANIFEST]
+    if not parts:
+        return
+    shards = []
+    for entries in known_shards(folder, ours).values():
+        # Made twice, on machines that round otherwise, a file is as one of them has left it.
+        differ = len({shard["sha256"] for shard in entries}) > 1
+        shards.append(next((s for s in entries if differ and is_intact(folder, s)), entries[0]))
+    _write_manifest(folder / MANIFEST, ours, shards)
+    for path in parts:
+        path.unlink()
+
+
+def _manifests(folder: Path) -> list[Path]:
+    return [*folder.glob(MANIFEST), *sorted(folder.glob("shard_manifest_*.json"))]
 
 
 def origin(robot: str, seed: int, settings: dict[str, Any]) -> dict[str, Any]:
@@ -98,14 +153,14 @@ def check_origin(folder: str | Path, manifest: dict[str, Any], ours: dict[str, A
             )
 
 
-def read_manifest(folder: str | Path) -> dict[str, Any]:
+def read_manifest(folder: str | Path, name: str = MANIFEST) -> dict[str, Any]:
     """Reads and checks a manifest: robot, seed, settings, code_version and the list of shards."""
-    path = Path(folder) / MANIFEST
+    path = Path(folder) / name
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(
-            f"folder {str(folder)!r} has no {MANIFEST}; name an .npz, or a folder of shards"
+            f"folder {str(folder)!r} has no {name}; name an .npz, or a folder of shards"
         ) from None
     except IsADirectoryError:
         raise InputError(f"{str(path)!r} is a folder; generate the set again") from None
@@ -128,14 +183,10 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     return manifest
 
 
-def intact_shards(folder: str | Path) -> dict[str, int]:
-    """The shards that a manifest names and that are there as it says, and their problems."""
-    folder = Path(folder)
-    return {
-        shard["file"]: shard["problems"]
-        for shard in read_manifest(folder)["shards"]
-        if (folder / shard["file"]).is_file() and _sha256(folder / shard["file"]) == shard["sha256"]
-    }
+def is_intact(folder: Path, shard: dict[str, Any]) -> bool:
+    """Whether a shard is there as a manifest says."""
+    file = folder / shard["file"]
+    return file.is_file() and _sha256(file) == shard["sha256"]
 
 
 def _is_file_name(name: str) -> bool:
