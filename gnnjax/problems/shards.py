@@ -1,5 +1,6 @@
 """Larger problem sets: folders of problem files, with a manifest that says what is in them."""
 
+import bisect
 import hashlib
 import importlib.metadata
 import json
@@ -33,7 +34,37 @@ def load_problems(path: str | Path, robot: Robot) -> ProblemSet:
             or another robot's problems.
     """
     path = Path(path)
-    return _load_shards(path, robot) if path.is_dir() else load_file(path, robot)
+    if path.is_dir():
+        return _load_shards(path, robot, read_manifest(path)["shards"])
+    return load_file(path, robot)
+
+
+class StoredProblems:
+    """A problem set as it is on disk: of a folder, only those shards are read that are asked for.
+
+    Args:
+        path: an `.npz`, or a folder of shards.
+        robot: the arm that the problems must be for.
+    """
+
+    def __init__(self, path: Path, robot: Robot):
+        self._folder, self._robot = path, robot
+        self._whole = None if path.is_dir() else load_file(path, robot)
+        self._shards = read_manifest(path)["shards"] if self._whole is None else []
+        counts = [shard["problems"] for shard in self._shards]
+        self._firsts = np.cumsum([0, *counts]).tolist()
+
+    def __len__(self) -> int:
+        return self._firsts[-1] if self._whole is None else len(self._whole)
+
+    def part(self, first: int, last: int) -> ProblemSet:
+        """Problems `first` to `last`, the latter not included."""
+        if self._whole is not None:
+            return self._whole.take(slice(first, last))
+        begin = bisect.bisect_right(self._firsts, first) - 1
+        end = bisect.bisect_left(self._firsts, last)
+        found = _load_shards(self._folder, self._robot, self._shards[begin:end])
+        return found.take(slice(first - self._firsts[begin], last - self._firsts[begin]))
 
 
 def shard_name(index: int) -> str:
@@ -197,9 +228,9 @@ def _is_file_name(name: str) -> bool:
         return False
 
 
-def _load_shards(folder: Path, robot: Robot) -> ProblemSet:
+def _load_shards(folder: Path, robot: Robot, shards: list[dict[str, Any]]) -> ProblemSet:
     sets: list[ProblemSet] = []
-    for shard in read_manifest(folder)["shards"]:
+    for shard in shards:
         file = folder / shard["file"]
         if not file.is_file():
             raise InputError(f"{MANIFEST} names {str(file)!r}, which is missing; generate it again")
