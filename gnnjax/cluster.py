@@ -20,6 +20,7 @@ _LAUNCHERS = (
     ("SLURM_PROCID", "SLURM_NTASKS"),
     ("OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"),
 )
+_A_DAY = 24 * 3600  # s
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -123,10 +124,10 @@ class ConnectedOptions(ClusterOptions):
                 address,
                 place.count,
                 place.index,
-                initialization_timeout=int(self.patience)
-                + 10,  # the roll call names who is missing
-                # Where it finds out first, it ends the process with a page of words.
-                heartbeat_timeout_seconds=int(2 * self.patience) + 60,
+                # Who is missing or lost is told by the roll call, in a sentence, and not where all
+                # were stopped for a while. JAX ends the process with a page of words.
+                initialization_timeout=_A_DAY,
+                heartbeat_timeout_seconds=_A_DAY,
             )
         except (ValueError, RuntimeError) as error:
             where = "--coordinator host:port" if address is None else "the coordinator's address"

@@ -102,7 +102,7 @@ class RollCall:
             now = time.monotonic()
             awaited -= self._look(awaited, "done" if first else "over", now - last)
             last = now
-            time.sleep(_BEAT_S / 4)
+            time.sleep(_BEAT_S / 2)
         return first
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -117,16 +117,18 @@ class RollCall:
             self._fail(error)
         self._ended.set()
         self._thread.join()
-        first = self._place.index == 0
-        if first and (self._all_at_once or error is None):
-            self._wait_for_farewell()
-        if error is None:
+        own, left = self._file(self._place.index), ()
+        if self._place.index == 0:
             # The first one takes away what runs that were killed have left, too.
-            own = self._file(self._place.index)
-            left = f"{glob.escape(self._name(''))}*"
-            for pattern in (left, f".{left}.lock") if first else (glob.escape(own.name),):
-                for file in own.parent.glob(pattern):
-                    file.unlink(missing_ok=True)
+            if self._all_at_once or error is None:
+                alone = self._wait_for_farewell()
+                beside = f"{glob.escape(self._name(''))}*"
+                if alone and error is None:
+                    left = (*own.parent.glob(beside), *own.parent.glob(f".{beside}.lock"))
+        elif error is None:
+            left = (own,)
+        for file in left:
+            file.unlink(missing_ok=True)
         self._held.__exit__(None, None, None)
 
     def _name(self, number: str) -> str:
@@ -218,14 +220,16 @@ class RollCall:
         with contextlib.suppress(OSError):
             self._say("failed", words)
 
-    def _wait_for_farewell(self) -> None:
-        """Lets the others read how this process has ended, before anything of it goes away."""
+    def _wait_for_farewell(self) -> bool:
+        """Lets the others read how this process has ended, before anything of it goes away; returns
+        whether all of them have ended."""
         end = time.monotonic() + min(_FAREWELL_S, self._patience)
         awaited = self._there - self._lost
         while awaited and time.monotonic() < end:
             said = {index: self._read(index) for index in awaited}
             awaited = {i for i, text in said.items() if text and json.loads(text)[0] != "failed"}
-            time.sleep(_BEAT_S / 4)
+            time.sleep(_BEAT_S / 2)
+        return not awaited
 
 
 def _this_process() -> str:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import optax
 from flax import nnx
 from jax.sharding import Mesh
+from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -73,7 +74,8 @@ def run_training(training: Training, config: Any) -> Path:
     unit, steps, mesh = training.unit, training.steps, training.mesh
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     run = TrainingRun(config.out, training.network, settings_of(config), unit, steps)
-    with run, Progress(*columns, TimeRemainingColumn(), disable=not _is_first()) as progress:
+    console = Console(quiet=not _is_first())
+    with run, Progress(*columns, TimeRemainingColumn(), console=console) as progress:
         first, state = run.begin(training.state, config.resume)
         state = everywhere(state, mesh)
         total = training.num_units * steps
