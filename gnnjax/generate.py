@@ -5,6 +5,7 @@ python -m gnnjax.generate --split test    # the paper's 300 test problems
 python -m gnnjax.generate --split test --family shelf   # harder ones
 python -m gnnjax.generate --split test --family upright --robot franka_panda \
     --attach examples/bottle.json
+srun python -m gnnjax.generate --split train --distributed   # see docs/cluster.md
 """
 
 import contextlib
@@ -19,6 +20,7 @@ import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.cluster import ALONE, Cluster
 from gnnjax.collision.checker import Backend
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, check_seed, run_command
@@ -34,13 +36,17 @@ from gnnjax.problems.labelled import (
 )
 from gnnjax.problems.shards import (
     MANIFEST,
-    check_origin,
-    intact_shards,
+    is_intact,
+    join_manifests,
+    known_shards,
     load_problems,
+    manifest_of,
     origin,
     read_manifest,
     save_shard,
+    shard_name,
 )
+from gnnjax.roll_call import Place
 from gnnjax.scene.holding import attach_from_json
 
 _ORIGIN = "generated"  # array of a single file that says what the manifest says of a folder
@@ -72,6 +78,7 @@ class GenerateConfig:
     """Problems that are drawn, labelled and written at once."""
     checker: Backend = "fused"
     """Collision backend."""
+    cluster: Cluster = ALONE
 
 
 def generate(config: GenerateConfig) -> Path:
@@ -103,20 +110,27 @@ def generate(config: GenerateConfig) -> Path:
         "checker": config.checker,
     }
     ours = origin(robot.name, config.seed, settings)
-    with locked(out if one_file else folder / MANIFEST):
-        if one_file and out.exists():
-            # This command may have been killed when all was done but taking the parts away.
-            if _origin_of(out, robot) != {**ours, "problems": num}:
-                raise InputError(f"{str(out)!r} exists; remove it, or choose another --out")
-        else:
-            _draw_shards(robot, folder, num, ours)
-        if one_file and not out.exists():
-            extras = {_ORIGIN: np.array(json.dumps({**ours, "problems": num}))}
-            drawn = load_problems(folder, robot)
-            save_problems(out, dataclasses.replace(drawn, extras=drawn.extras | extras))
-        if one_file:
-            _remove_parts(folder)
-    print(f"{num} problems in {out}")
+    place = config.cluster.place()
+    with contextlib.ExitStack() as held:
+        others = held.enter_context(config.cluster.roll_call(out))
+        if place.index == 0:
+            held.enter_context(locked(out if one_file else folder / MANIFEST))
+        done = one_file and out.exists()
+        # This command may have been killed when all was done but taking the parts away.
+        if done and _origin_of(out, robot) != {**ours, "problems": num}:
+            raise InputError(f"{str(out)!r} exists; remove it, or choose another --out")
+        if not done:
+            _draw_shards(robot, folder, num, ours, place)
+        if others.gather():
+            if not done:
+                join_manifests(folder, ours)
+            if one_file and not done:
+                extras = {_ORIGIN: np.array(json.dumps({**ours, "problems": num}))}
+                drawn = load_problems(folder, robot)
+                save_problems(out, dataclasses.replace(drawn, extras=drawn.extras | extras))
+            if one_file:
+                _remove_parts(folder)
+            print(f"{num} problems in {out}")
     return out
 
 
@@ -137,22 +151,19 @@ def _remove_parts(folder: Path) -> None:
         folder.rmdir()
 
 
-def _draw_shards(robot: Robot, folder: Path, num: int, ours: dict[str, Any]) -> None:
-    """Draws the shards that the folder's manifest lacks, or that are not there as it says."""
+def _draw_shards(robot: Robot, folder: Path, num: int, ours: dict[str, Any], place: Place) -> None:
+    """Draws those of a process's shards that the folder's manifests lack, or that are not there as
+    these say."""
     cache_compilations()
     seed, settings = ours["seed"], ours["settings"]
     size = settings["shard_size"]
-    done = {}
-    if (folder / MANIFEST).exists():
-        manifest = read_manifest(folder)
-        check_origin(folder, manifest, ours)
-        there = sum(shard["problems"] for shard in manifest["shards"])
-        if there > num:
-            raise InputError(
-                f"{str(folder)!r} holds {there} problems, more than {num}; write to an empty folder"
-            )
-        done = intact_shards(folder)
-    elif folder.exists():
+    known = known_shards(folder, ours)
+    there = sum(shards[0]["problems"] for shards in known.values())
+    if there > num:
+        raise InputError(
+            f"{str(folder)!r} holds {there} problems, more than {num}; write to an empty folder"
+        )
+    if not known and folder.exists():
         # What is not ours would be mixed with the set.
         names = [p.name for p in folder.iterdir() if not is_leftover(p.name)]
         others = [name for name in names if not name.startswith("shard_")]
@@ -163,17 +174,25 @@ def _draw_shards(robot: Robot, folder: Path, num: int, ours: dict[str, Any]) -> 
     family = settings["family"]
     draw = generate_labelled(robot, settings["num_nodes"], settings["checker"], family)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    manifest = MANIFEST if place.count == 1 else manifest_of(place.index)
+    mine = [i for i in range(-(-num // size)) if place.has(i)]
+    wanted = {i: min(size, num - i * size) for i in mine}
     with Progress(*columns, TimeRemainingColumn()) as progress:
-        task = progress.add_task("compiling and drawing", total=num)
-        for index, first in enumerate(range(0, num, size)):
-            wanted = min(size, num - first)
-            if done.get(f"shard_{index:05d}.npz") != wanted:
+        task = progress.add_task("compiling and drawing", total=sum(wanted.values()))
+        for index, count in wanted.items():
+            shards = known.get(shard_name(index), [])
+            if not any(s["problems"] == count and is_intact(folder, s) for s in shards):
                 # Whole shards, also at the end: one compilation, and the same problems.
-                drawn = draw(problem_keys(seed, settings["split"], first, size, family))
-                drawn = jax.tree.map(lambda x, n=wanted: np.asarray(x)[:n], drawn)
+                keys = problem_keys(seed, settings["split"], index * size, size, family)
+                drawn = jax.tree.map(lambda x, n=count: np.asarray(x)[:n], draw(keys))
                 problems = to_problem_set(robot, drawn)
-                save_shard(folder, index, problems, seed=seed, settings=settings)
-            progress.update(task, advance=wanted)
+                save_shard(
+                    *(folder, index, problems),
+                    seed=seed,
+                    settings=settings,
+                    manifest_name=manifest,
+                )
+            progress.update(task, advance=count)
 
 
 if __name__ == "__main__":

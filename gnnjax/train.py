@@ -3,6 +3,8 @@
 The preset `paper` learns as Diao, Chi and Wang do: walk k ~ U{1..10} steps with the network, then
 learn the next node of the shortest path from the node reached. The default preset learns from every
 step of the walk and from every node of the roadmap, and with a second head which edges are valid.
+
+Options, step and loop of the command are together here, to be read from top to bottom.
 """
 
 import argparse
@@ -18,8 +20,10 @@ import numpy as np
 import optax
 import tyro
 from flax import nnx
+from jax.sharding import Mesh
 
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, run_command
 from gnnjax.guide.view import point_distances
@@ -36,6 +40,7 @@ from gnnjax.problems.labelled import (
 )
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
+from gnnjax.training.parallel import all_devices, dealt, mean_over_devices
 from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
 
 
@@ -93,6 +98,7 @@ class TrainConfig:
     """Epochs between validations, which plan, and checkpoints."""
     validation_problems: int = 100
     """Problems to plan, drawn apart from all others; 0 to validate nothing."""
+    cluster: ConnectedCluster = UNCONNECTED
 
 
 PRESETS = {
@@ -140,7 +146,11 @@ def make_optimizer(config: TrainConfig, num_steps: int) -> optax.GradientTransfo
 
 
 def make_step(
-    graphdef: Any, optimizer: optax.GradientTransformation, robot: Robot, config: TrainConfig
+    graphdef: Any,
+    optimizer: optax.GradientTransformation,
+    robot: Robot,
+    config: TrainConfig,
+    mesh: Mesh | None = None,
 ) -> Callable[[TrainState, LabelledRoadmap, jax.Array], tuple[TrainState, dict[str, jax.Array]]]:
     """The jitted step: one batch of roadmaps, gradients added graph by graph."""
 
@@ -155,19 +165,23 @@ def make_step(
 
     gradient_of = jax.value_and_grad(loss, has_aux=True)
 
-    @jax.jit
-    def step(state: TrainState, data: LabelledRoadmap, keys: jax.Array):
+    def mean(weights: Any, graphs: tuple[LabelledRoadmap, jax.Array]):
         def add(total, graph):
-            (_, losses), gradient = gradient_of(state.weights, *graph)
+            (_, losses), gradient = gradient_of(weights, *graph)
             return jax.tree.map(jnp.add, total, (losses, gradient)), None
 
         # On a CPU one graph after the other is twice as fast as side by side.
-        graphs = (data, keys)
         first = jax.tree.map(lambda x: x[0], graphs)
-        (_, losses), gradient = jax.eval_shape(gradient_of, state.weights, *first)
+        (_, losses), gradient = jax.eval_shape(gradient_of, weights, *first)
         zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), (losses, gradient))
         total, _ = jax.lax.scan(add, zeros, graphs)
-        losses, gradient = jax.tree.map(lambda x: x / len(keys), total)
+        return jax.tree.map(lambda x: x / len(graphs[1]), total)
+
+    mean_of_all = mean_over_devices(mean, mesh)
+
+    @jax.jit
+    def step(state: TrainState, data: LabelledRoadmap, keys: jax.Array):
+        losses, gradient = mean_of_all(state.weights, (data, keys))
         updates, optimizer_state = optimizer.update(gradient, state.optimizer, state.weights)
         return TrainState(optax.apply_updates(state.weights, updates), optimizer_state), losses
 
@@ -188,9 +202,14 @@ def train(config: TrainConfig) -> Path:
     """Trains and returns the file of the weights.
 
     The order of the data and the walks depend on seed and epoch alone, so that a run that was cut
-    off and resumed comes to the same numbers.
+    off and resumed comes to the same numbers, on any number of devices.
     """
     _check_config(config)
+    with config.cluster.connected(config.out):
+        return _train(config, all_devices(config.cluster, config.batch_size, "batch_size"))
+
+
+def _train(config: TrainConfig, mesh: Mesh | None) -> Path:
     cache_compilations()
     robot = load_robot(config.robot)
     if not config.data.exists():
@@ -228,14 +247,15 @@ def train(config: TrainConfig) -> Path:
         validation = generate_labelled(robot, 0)(keys)
     graphdef, weights = nnx.split(network)
     optimizer = make_optimizer(config, num_steps)
-    step = make_step(graphdef, optimizer, robot, config)
+    step = make_step(graphdef, optimizer, robot, config, *([] if mesh is None else [mesh]))
     state = TrainState(weights, optimizer.init(weights))
 
     def one_step(state: TrainState, epoch: int, number: int):
         order, walk_key = plan_epoch(epoch)
         rows = order[number * config.batch_size : (number + 1) * config.batch_size]
         batch = jax.tree.map(lambda x: x[rows], data)
-        return step(state, batch, jax.random.split(jax.random.fold_in(walk_key, number), len(rows)))
+        keys = jax.random.split(jax.random.fold_in(walk_key, number), len(rows))
+        return step(state, *dealt((batch, keys), mesh))
 
     @functools.lru_cache(maxsize=1)
     def plan_epoch(epoch: int) -> tuple[np.ndarray, jax.Array]:
@@ -263,6 +283,7 @@ def train(config: TrainConfig) -> Path:
         validate_every=config.validate_every,
         step=one_step,
         validate=validated,
+        mesh=mesh,
     )
     return run_training(training, config)
 

@@ -2,6 +2,8 @@
 
 There is no data set. Every step draws scenes of all kinds, motions of the arms in them, and tests
 these with the collision checker, all on the device; no scene is ever seen twice.
+
+Options, data, step and loop of the command are together here, to be read from top to bottom.
 """
 
 import dataclasses
@@ -16,9 +18,11 @@ import numpy as np
 import optax
 import tyro
 from flax import nnx
+from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.devices import cache_compilations, map_first
@@ -28,6 +32,7 @@ from gnnjax.guide.view import ArmView, arm_view
 from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.problems.family_problem import draw_family_scene
 from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
+from gnnjax.training.parallel import all_devices, dealt, mean_over_devices, on_each_device
 from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
 
 _MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
@@ -66,6 +71,7 @@ class TrainMotionConfig:
     """See `MotionNetwork`."""
     save_every: int = 100
     """Steps between checkpoints and log records, which validate."""
+    cluster: ConnectedCluster = UNCONNECTED
 
 
 class Motions(NamedTuple):
@@ -137,7 +143,7 @@ def motion_sampler(
 
 
 def make_batches(
-    robot: Robot, config: TrainMotionConfig
+    robot: Robot, config: TrainMotionConfig, mesh: Mesh | None = None
 ) -> Callable[[jax.Array], tuple[ArmView, ArmView, jax.Array, jax.Array]]:
     """Makes the function `key -> (start, end, length, valid)`, all scenes' in one row."""
     draw = motion_sampler(robot, config.motions, _LENGTHS, _FREE_SHARE)
@@ -154,14 +160,20 @@ def make_batches(
         return start, end, length, motions.valid
 
     @jax.jit
-    def batch(key: jax.Array, num: jax.Array):
-        drawn = map_first(one, num, jax.random.split(key, config.scenes))
-        return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), drawn)
+    def batch(keys: jax.Array, num: jax.Array):
+        def some(keys: jax.Array):
+            drawn = map_first(one, num, keys)
+            return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), drawn)
 
-    return lambda key: batch(key, config.scenes)
+        return on_each_device(some, mesh)(keys)
+
+    each = config.scenes // (1 if mesh is None else mesh.size)
+    return lambda key: batch(dealt(jax.random.split(key, config.scenes), mesh), each)
 
 
-def make_step(graphdef: Any, optimizer: optax.GradientTransformation) -> Callable:
+def make_step(
+    graphdef: Any, optimizer: optax.GradientTransformation, mesh: Mesh | None = None
+) -> Callable:
     """The jitted step: two updates from one batch, a half each."""
 
     def loss(weights: Any, start: ArmView, end: ArmView, length: jax.Array, valid: jax.Array):
@@ -171,12 +183,16 @@ def make_step(graphdef: Any, optimizer: optax.GradientTransformation) -> Callabl
 
     gradient = jax.value_and_grad(loss, has_aux=True)
 
+    def of_half(half: int, weights: Any, batch: tuple):
+        # Every second motion: both halves have all scenes.
+        return gradient(weights, *jax.tree.map(lambda x: x[half::2], batch))
+
     @jax.jit
     def step(state: TrainState, batch: tuple) -> tuple[TrainState, dict[str, jax.Array]]:
         found = []
-        for half in range(2):  # every second motion: both halves have all scenes
-            part = jax.tree.map(lambda x, half=half: x[half::2], batch)
-            found_now, gradients = gradient(state.weights, *part)
+        for half in range(2):
+            mean = mean_over_devices(functools.partial(of_half, half), mesh)
+            found_now, gradients = mean(state.weights, batch)
             updates, optimizer_state = optimizer.update(gradients, state.optimizer, state.weights)
             state = TrainState(optax.apply_updates(state.weights, updates), optimizer_state)
             found.append(jnp.stack(found_now))
@@ -226,9 +242,14 @@ def train_motion(config: TrainMotionConfig) -> Path:
     """Trains and returns the file of the weights.
 
     A batch depends on seed and step alone, so that a run that was cut off and resumed comes to the
-    same numbers.
+    same numbers, on any number of devices.
     """
     _check_config(config)
+    with config.cluster.connected(config.out):
+        return _train_motion(config, all_devices(config.cluster, config.scenes, "scenes"))
+
+
+def _train_motion(config: TrainMotionConfig, mesh: Mesh | None) -> Path:
     cache_compilations()
     robots = [load_robot(name) for name in config.robots]
     network = MotionNetwork(config.num_points, config.channels, rngs=nnx.Rngs(config.seed))
@@ -238,8 +259,8 @@ def train_motion(config: TrainMotionConfig) -> Path:
         0.0, config.learning_rate, warmup, max(2 * config.steps, warmup + 1)
     )
     optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate))
-    step = make_step(graphdef, optimizer)
-    batches = [make_batches(robot, config) for robot in robots]
+    step = make_step(graphdef, optimizer, mesh)
+    batches = [make_batches(robot, config, mesh) for robot in robots]
     validations = [make_validation(robot, config, graphdef) for robot in robots]
     state = TrainState(weights, optimizer.init(weights))
     train_key, validation_key = jax.random.split(jax.random.key(config.seed))
@@ -267,6 +288,7 @@ def train_motion(config: TrainMotionConfig) -> Path:
         validate_every=config.save_every,
         step=one_step,
         validate=validated,
+        mesh=mesh,
     )
     return run_training(training, config)
 
@@ -276,6 +298,11 @@ def _check_config(config: TrainMotionConfig) -> None:
     least = dict.fromkeys(("steps", "scenes", "num_points", "channels", "save_every"), 1)
     least |= {"motions": 2, "learning_rate": 0}
     check_bounds(config, least)
+    if config.cluster.distributed and config.motions % 2:
+        raise InputError(
+            f"motions is {config.motions}; distributed, it must be even, or the halves of a batch "
+            "would depend on the devices"
+        )
     if not config.robots:
         raise InputError("robots is empty; name at least one arm")
 

@@ -16,6 +16,7 @@ from flax import nnx
 
 import gnnjax.evaluate
 import gnnjax.generate
+import gnnjax.measure.batches
 import gnnjax.train
 import gnnjax.train_motion
 import gnnjax.training.weights
@@ -137,9 +138,11 @@ def _evaluate(folder: Path) -> None:
         mock.patch.object(gnnjax.evaluate, "_WRITE_EVERY_S", -1.0),
         mock.patch.object(gnnjax.evaluate, "describe_machine", dict),
         mock.patch.object(
-            gnnjax.evaluate, "check_queries", lambda _, asked, margin: [None] * len(asked.start)
+            gnnjax.measure.batches,
+            "check_queries",
+            lambda _, asked, margin: [None] * len(asked.start),
         ),
-        mock.patch.object(gnnjax.evaluate, "straight_line_blocked", return_value=hard),
+        mock.patch.object(gnnjax.measure.batches, "straight_line_blocked", return_value=hard),
     ):
         _finish(lambda: gnnjax.evaluate.evaluate(config, _Planner()))
 

@@ -35,7 +35,7 @@ def test_files_that_the_texts_name_exist():
 
 # Imports go down this list only.
 ORDER = """
-interruption errors files devices clock
+interruption errors files devices clock roll_call cluster
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
@@ -61,10 +61,10 @@ planning.strategy planning.walks planning.guided planning.pool planning.shorteni
 planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.execution
-training.weights training.checkpoint training.run
+training.weights training.checkpoint training.parallel training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
-measure.machine measure.rows measure.statistics measure.table
+measure.machine measure.rows measure.batches measure.result_files measure.statistics measure.table
 generate paper.losses train train_motion evaluate plot video plan plot_execution execute fit
 """.split()
 # Imported up the list, inside of functions: by name, when somebody asks for it.

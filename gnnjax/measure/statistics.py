@@ -7,33 +7,45 @@ import numpy as np
 from gnnjax.measure.rows import QUANTITIES
 
 
+def columns_of(rows: list[dict]) -> dict[str, np.ndarray]:
+    """What is summed up of rows, `[R]` each; NaN where a quantity is None."""
+    kinds = dict.fromkeys(("valid", "hard", "success", "certified"), bool)
+    kinds |= {"index": int, "roadmaps": int} | dict.fromkeys(QUANTITIES, float)
+    return {name: np.array([row[name] for row in rows], kind) for name, kind in kinds.items()}
+
+
 def summarize(rows: list[dict]) -> dict[str, Any]:
     """Mean, spread and median of each quantity, over all valid problems and over the hard ones.
 
     The cost is over solved problems; everything else over all. `certified` is the share with a path
     that is proven free, which some planners find out only afterwards.
     """
-    valid = [row for row in rows if row["valid"]]
-    strata = {"all": valid, "hard": [row for row in valid if row["hard"]]}
+    return summarize_columns(columns_of(rows))
+
+
+def summarize_columns(columns: dict[str, np.ndarray]) -> dict[str, Any]:
+    """See `summarize`; of more rows than fit into memory as such."""
+    valid = columns["valid"]
     summary: dict[str, Any] = {
-        "num_problems": len(rows),
-        "num_invalid": len(rows) - len(valid),
-        "invalid_problems": [row["index"] for row in rows if not row["valid"]],
+        "num_problems": len(valid),
+        "num_invalid": int((~valid).sum()),
+        "invalid_problems": columns["index"][~valid].tolist(),
     }
-    for stratum, chosen in strata.items():
-        num = len(chosen)
-        solved = [row for row in chosen if row["success"]]
-        first = [row for row in solved if row["roadmaps"] == 1]
-        part: dict[str, Any] = {
-            "num_problems": num,
-            "success": len(solved) / num if num else None,
-            "certified": sum(row["certified"] for row in chosen) / num if num else None,
-            "success_first_roadmap": len(first) / num if num else None,
+    for stratum, chosen in {"all": valid, "hard": valid & columns["hard"]}.items():
+        num = int(chosen.sum())
+        solved = chosen & columns["success"]
+        first = solved & (columns["roadmaps"] == 1)
+        shares = {
+            "success": solved,
+            "certified": chosen & columns["certified"],
+            "success_first_roadmap": first,
         }
+        part: dict[str, Any] = {"num_problems": num}
+        part |= {name: int(x.sum()) / num if num else None for name, x in shares.items()}
         for name, failures_count in QUANTITIES.items():
-            rows_counted = chosen if failures_count else solved
-            values = [row[name] for row in rows_counted if row[name] is not None]
-            part[name] = describe(np.array(values)) if values else None
+            values = columns[name][chosen if failures_count else solved]
+            values = values[~np.isnan(values)]
+            part[name] = describe(values) if len(values) else None
         summary[stratum] = part
     return summary
 

@@ -1,5 +1,6 @@
 """Larger problem sets: folders of problem files, with a manifest that says what is in them."""
 
+import bisect
 import hashlib
 import importlib.metadata
 import json
@@ -33,15 +34,61 @@ def load_problems(path: str | Path, robot: Robot) -> ProblemSet:
             or another robot's problems.
     """
     path = Path(path)
-    return _load_shards(path, robot) if path.is_dir() else load_file(path, robot)
+    if path.is_dir():
+        return _load_shards(path, robot, read_manifest(path)["shards"])
+    return load_file(path, robot)
+
+
+class StoredProblems:
+    """A problem set as it is on disk: of a folder, only those shards are read that are asked for.
+
+    Args:
+        path: an `.npz`, or a folder of shards.
+        robot: the arm that the problems must be for.
+    """
+
+    def __init__(self, path: Path, robot: Robot):
+        self._folder, self._robot = path, robot
+        self._whole = None if path.is_dir() else load_file(path, robot)
+        self._shards = read_manifest(path)["shards"] if self._whole is None else []
+        counts = [shard["problems"] for shard in self._shards]
+        self._firsts = np.cumsum([0, *counts]).tolist()
+
+    def __len__(self) -> int:
+        return self._firsts[-1] if self._whole is None else len(self._whole)
+
+    def part(self, first: int, last: int) -> ProblemSet:
+        """Problems `first` to `last`, the latter not included."""
+        if self._whole is not None:
+            return self._whole.take(slice(first, last))
+        begin = bisect.bisect_right(self._firsts, first) - 1
+        end = bisect.bisect_left(self._firsts, last)
+        found = _load_shards(self._folder, self._robot, self._shards[begin:end])
+        return found.take(slice(first - self._firsts[begin], last - self._firsts[begin]))
+
+
+def shard_name(index: int) -> str:
+    """File of a shard, counted from 0."""
+    return f"shard_{index:05d}.npz"
+
+
+def manifest_of(process: int) -> str:
+    """Manifest of the shards that one of several processes has made, until all are there."""
+    return f"shard_manifest_{process:05d}.json"
 
 
 def save_shard(
-    folder: str | Path, index: int, problem_set: ProblemSet, *, seed: int, settings: dict[str, Any]
+    folder: str | Path,
+    index: int,
+    problem_set: ProblemSet,
+    *,
+    seed: int,
+    settings: dict[str, Any],
+    manifest_name: str = MANIFEST,
 ) -> None:
-    """Writes shard `index` of a larger set, then enters it in the folder's manifest.
+    """Writes shard `index` of a larger set, then enters it in a manifest of the folder.
 
-    A run that was cut short goes on where the manifest ends. One writer at a time.
+    A run that was cut short goes on where the manifest ends. One writer of a manifest at a time.
 
     Args:
         folder: made if missing.
@@ -49,22 +96,61 @@ def save_shard(
         problem_set: the problems of this shard.
         seed: of the whole set.
         settings: of the generator, as JSON.
+        manifest_name: that of the folder, or of one of several processes.
 
     Raises:
         InputError: the folder holds a set of another robot, seed, settings or code version.
     """
-    folder, file = Path(folder), f"shard_{index:05d}.npz"
+    folder, file = Path(folder), shard_name(index)
     ours = origin(problem_set.robot, seed, settings)
     shards: list[dict[str, Any]] = []
-    if (folder / MANIFEST).exists():
-        manifest = read_manifest(folder)
+    if (folder / manifest_name).exists():
+        manifest = read_manifest(folder, manifest_name)
         check_origin(folder, manifest, ours)
         shards = [shard for shard in manifest["shards"] if shard["file"] != file]
     save_problems(folder / file, problem_set)
     shards.append({"file": file, "problems": len(problem_set), "sha256": _sha256(folder / file)})
+    _write_manifest(folder / manifest_name, ours, shards)
+
+
+def _write_manifest(path: Path, ours: dict[str, Any], shards: list[dict[str, Any]]) -> None:
     shards.sort(key=lambda shard: shard["file"])
     text = json.dumps({**ours, "shards": shards}, indent=1) + "\n"
-    atomic_write(folder / MANIFEST, lambda out: out.write_text(text, encoding="utf-8"))
+    atomic_write(path, lambda out: out.write_text(text, encoding="utf-8"))
+
+
+def known_shards(folder: Path, ours: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """What the manifests of a folder say of each file, whichever process has made it; often once.
+
+    Raises:
+        InputError: they are of another set.
+    """
+    known: dict[str, list[dict[str, Any]]] = {}
+    for path in _manifests(folder):
+        manifest = read_manifest(folder, path.name)
+        check_origin(folder, manifest, ours)
+        for shard in manifest["shards"]:
+            known.setdefault(shard["file"], []).append(shard)
+    return known
+
+
+def join_manifests(folder: Path, ours: dict[str, Any]) -> None:
+    """Makes one manifest of those that several processes have left."""
+    parts = [path for path in _manifests(folder) if path.name != MANIFEST]
+    if not parts:
+        return
+    shards = []
+    for entries in known_shards(folder, ours).values():
+        # Made twice, on machines that round otherwise, a file is as one of them has left it.
+        differ = len({shard["sha256"] for shard in entries}) > 1
+        shards.append(next((s for s in entries if differ and is_intact(folder, s)), entries[0]))
+    _write_manifest(folder / MANIFEST, ours, shards)
+    for path in parts:
+        path.unlink()
+
+
+def _manifests(folder: Path) -> list[Path]:
+    return [*folder.glob(MANIFEST), *sorted(folder.glob("shard_manifest_*.json"))]
 
 
 def origin(robot: str, seed: int, settings: dict[str, Any]) -> dict[str, Any]:
@@ -98,14 +184,14 @@ def check_origin(folder: str | Path, manifest: dict[str, Any], ours: dict[str, A
             )
 
 
-def read_manifest(folder: str | Path) -> dict[str, Any]:
+def read_manifest(folder: str | Path, name: str = MANIFEST) -> dict[str, Any]:
     """Reads and checks a manifest: robot, seed, settings, code_version and the list of shards."""
-    path = Path(folder) / MANIFEST
+    path = Path(folder) / name
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(
-            f"folder {str(folder)!r} has no {MANIFEST}; name an .npz, or a folder of shards"
+            f"folder {str(folder)!r} has no {name}; name an .npz, or a folder of shards"
         ) from None
     except IsADirectoryError:
         raise InputError(f"{str(path)!r} is a folder; generate the set again") from None
@@ -128,14 +214,10 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     return manifest
 
 
-def intact_shards(folder: str | Path) -> dict[str, int]:
-    """The shards that a manifest names and that are there as it says, and their problems."""
-    folder = Path(folder)
-    return {
-        shard["file"]: shard["problems"]
-        for shard in read_manifest(folder)["shards"]
-        if (folder / shard["file"]).is_file() and _sha256(folder / shard["file"]) == shard["sha256"]
-    }
+def is_intact(folder: Path, shard: dict[str, Any]) -> bool:
+    """Whether a shard is there as a manifest says."""
+    file = folder / shard["file"]
+    return file.is_file() and _sha256(file) == shard["sha256"]
 
 
 def _is_file_name(name: str) -> bool:
@@ -146,9 +228,9 @@ def _is_file_name(name: str) -> bool:
         return False
 
 
-def _load_shards(folder: Path, robot: Robot) -> ProblemSet:
+def _load_shards(folder: Path, robot: Robot, shards: list[dict[str, Any]]) -> ProblemSet:
     sets: list[ProblemSet] = []
-    for shard in read_manifest(folder)["shards"]:
+    for shard in shards:
         file = folder / shard["file"]
         if not file.is_file():
             raise InputError(f"{MANIFEST} names {str(file)!r}, which is missing; generate it again")

@@ -13,6 +13,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 import tensorstore
 from flax import nnx
+from jax.experimental import multihost_utils
 
 from gnnjax.errors import InputError, brief, one_line
 from gnnjax.training.weights import metadata, read_metadata
@@ -34,12 +35,13 @@ def restore_weights(folder: Path, shapes: Any) -> Any:
 
 def _on_this_device(shapes: Any) -> Any:
     """Says where restored arrays go, wherever they were when they were saved."""
-    sharding = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+    sharding = jax.sharding.SingleDeviceSharding(jax.local_devices()[0])
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding), shapes)
 
 
 class TrainingCheckpoints:
-    """The checkpoints of a training run, one folder an epoch; the last two are kept.
+    """The checkpoints of a training run, one folder an epoch; the last two are kept. Processes that
+    train together make and call it together.
 
     Args:
         folder: made if missing.
@@ -50,12 +52,16 @@ class TrainingCheckpoints:
     def __init__(self, folder: str | Path, network: nnx.Module, settings: dict[str, Any]):
         self.folder = Path(folder).resolve()
         self._meta = metadata(network, settings)
-        _remove_unfinished(self.folder, "*")
+        if jax.process_index() == 0:
+            _remove_unfinished(self.folder, "*")
         self._remove_old()
 
     def latest(self) -> int | None:
         """The epoch of the last checkpoint."""
-        return max(self._epochs(), default=None)
+        latest = max(self._epochs(), default=-1)
+        if jax.process_count() > 1:  # others may see the folder as it was a while ago
+            latest = int(multihost_utils.broadcast_one_to_all(np.int32(latest)))
+        return None if latest < 0 else latest
 
     def save(self, epoch: int, state: Any, log: list[dict[str, Any]]) -> None:
         """Writes `state` (weights, optimizer) after an epoch, and the log so far."""
@@ -73,7 +79,7 @@ class TrainingCheckpoints:
 
     def _remove_old(self) -> None:
         # Not by Orbax's manager, which removes a folder bit by bit under its own name.
-        for epoch in self._epochs()[:-2]:
+        for epoch in self._epochs()[:-2] if jax.process_index() == 0 else ():
             rest = self.folder / f"{epoch}{_UNFINISHED}"
             (self.folder / str(epoch)).rename(rest)
             shutil.rmtree(rest, ignore_errors=True)
@@ -119,11 +125,13 @@ class TrainingCheckpoints:
         return epoch, state._replace(weights=restored, optimizer=optimizer), log
 
 
-def _by_number(state: Any) -> dict[str, jax.Array]:
+def _by_number(state: Any) -> dict[str, Any]:
     """The arrays of an optimizer's state, and how many they are: plain SGD has none, and Orbax
     refuses to write nothing."""
     leaves = jax.tree.leaves(state)
-    return {"num_leaves": jnp.int32(len(leaves))} | {str(i): x for i, x in enumerate(leaves)}
+    return {"num_leaves": np.asarray(len(leaves), np.int32)} | {
+        str(i): x for i, x in enumerate(leaves)
+    }
 
 
 def _remove_unfinished(folder: Path, name: str) -> None:

@@ -16,6 +16,8 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import nnx
+from jax.sharding import Mesh
+from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -31,6 +33,7 @@ from tensorboardX.record_writer import masked_crc32c
 from gnnjax.errors import InputError, check_seed
 from gnnjax.files import atomic_write, check_target, locked
 from gnnjax.training.checkpoint import TrainingCheckpoints
+from gnnjax.training.parallel import everywhere, here
 from gnnjax.training.weights import save_network
 
 # What both trainings advise after an interruption.
@@ -58,6 +61,7 @@ class Training(NamedTuple):
     step: Callable[[TrainState, int, int], tuple[TrainState, dict[str, jax.Array]]]
     # `state -> (entries of the record, the same in words)`.
     validate: Callable[[TrainState], tuple[dict[str, float], str]]
+    mesh: Mesh | None = None  # of the devices that take a step together
 
 
 def run_training(training: Training, config: Any) -> Path:
@@ -67,11 +71,13 @@ def run_training(training: Training, config: Any) -> Path:
         training: what to do.
         config: of the command; its `out` and `resume` say where and whether to go on.
     """
-    unit, steps = training.unit, training.steps
+    unit, steps, mesh = training.unit, training.steps, training.mesh
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     run = TrainingRun(config.out, training.network, settings_of(config), unit, steps)
-    with run, Progress(*columns, TimeRemainingColumn()) as progress:
+    console = Console(quiet=not _is_first())
+    with run, Progress(*columns, TimeRemainingColumn(), console=console) as progress:
         first, state = run.begin(training.state, config.resume)
+        state = everywhere(state, mesh)
         total = training.num_units * steps
         bar = progress.add_task("compiling", total=total, completed=first * steps)
         progress.console.print("compiling; the first step takes up to a minute")
@@ -79,6 +85,7 @@ def run_training(training: Training, config: Any) -> Path:
         for number in range(first, training.num_units):
             for i in range(steps):
                 state, losses = training.step(state, number, i)
+                losses = here(losses, mesh)
                 sums = jax.tree.map(jnp.add, sums, losses) if sums else losses
                 progress.update(bar, advance=1, description=f"{unit} {number + 1}")
             done = number + 1
@@ -89,14 +96,14 @@ def run_training(training: Training, config: Any) -> Path:
             record |= {name: float(x) / (steps * (done - since)) for name, x in sums.items()}
             record["seconds"] = time.perf_counter() - begin
             if last or done % training.validate_every == 0:
-                found, words = training.validate(state)
+                found, words = training.validate(here(state, mesh))
                 record |= found
                 progress.console.print(f"{unit} {done}: loss {record['loss']:.4f}{words}")
                 run.add(record, state)
             else:
                 run.add(record)
             sums, since, begin = {}, done, time.perf_counter()
-        return run.finish(state.weights)
+        return run.finish(here(state.weights, mesh))
 
 
 def check_bounds(config: Any, least: dict[str, int]) -> None:
@@ -117,15 +124,22 @@ def check_bounds(config: Any, least: dict[str, int]) -> None:
 def settings_of(config: Any) -> dict[str, Any]:
     """A configuration as JSON, without what may differ when a run goes on."""
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
-    del settings["resume"], settings["out"]
+    for name in ("resume", "out", "cluster"):
+        del settings[name]
     return settings
+
+
+def _is_first() -> bool:
+    """Whether this is the process, of several, that writes."""
+    return jax.process_index() == 0
 
 
 class TrainingRun(contextlib.ExitStack):
     """Keeps what a training comes to, and goes on with what an interrupted one has left.
 
     The log is part of the checkpoint: a run that goes on has the records up to its checkpoint,
-    wherever the one before was killed.
+    wherever the one before was killed. Of several processes, the first one writes; all of them save
+    a checkpoint together.
 
     Args:
         out: folder of the run; nobody else may write there meanwhile.
@@ -146,7 +160,8 @@ class TrainingRun(contextlib.ExitStack):
     def __enter__(self) -> "TrainingRun":
         super().__enter__()
         with contextlib.ExitStack() as stack:
-            stack.enter_context(locked(self.out / "log.jsonl"))
+            if _is_first():
+                stack.enter_context(locked(self.out / "log.jsonl"))
             folder = self.out / "checkpoints"
             self._checkpoints = TrainingCheckpoints(folder, self._network, self._settings)
             self.push(stack.pop_all())
@@ -170,8 +185,9 @@ class TrainingRun(contextlib.ExitStack):
             own = self.out / "log.jsonl"
             self.records = _read_log(own, self._unit, done) if log is None else log
             self._write_log()
-        for old in self._events.parent.glob("events.out.tfevents.*"):
-            old.unlink()
+        if _is_first():
+            for old in self._events.parent.glob("events.out.tfevents.*"):
+                old.unlink()
         for record in self.records:
             self._append_event(record)
         return done, state
@@ -189,14 +205,18 @@ class TrainingRun(contextlib.ExitStack):
         nnx.update(self._network, weights)
         training = {**self._settings, "log": self.records[-1:]}
         path = self.out / "weights.safetensors"
-        save_network(path, self._network, training)
-        print(f"weights in {path}")
+        if _is_first():
+            save_network(path, self._network, training)
+            print(f"weights in {path}")
         return path
 
     def _append_event(self, record: dict[str, Any]) -> None:
-        _append_event(self._events, record, record[self._unit] * self._steps)
+        if _is_first():
+            _append_event(self._events, record, record[self._unit] * self._steps)
 
     def _write_log(self) -> None:
+        if not _is_first():
+            return
         text = "".join(json.dumps(record) + "\n" for record in self.records)
         atomic_write(self.out / "log.jsonl", lambda file: file.write_text(text, encoding="utf-8"))
 

@@ -1,0 +1,170 @@
+"""Processes that share work find out who is done and who is lost: here, threads with files."""
+
+import json
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from gnnjax import roll_call
+from gnnjax.cluster import ClusterOptions, ConnectedOptions
+from gnnjax.errors import InputError
+from gnnjax.roll_call import LostProcess, Place, RollCall
+
+
+@pytest.fixture(autouse=True)
+def fast(monkeypatch):
+    monkeypatch.setattr(roll_call, "_BEAT_S", 0.02)
+
+
+def together(target, processes, patience=60.0):
+    """What each of some functions of a roll call has returned or raised, a thread each."""
+    found = {}
+
+    def run(index, function):
+        try:
+            with RollCall(target, Place(index, len(processes)), patience) as others:
+                found[index] = function(others)
+        except Exception as error:
+            found[index] = error
+
+    threads = [threading.Thread(target=run, args=pair) for pair in enumerate(processes)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return found
+
+
+def test_the_first_goes_on_when_all_are_done_and_the_others_when_it_is_over(tmp_path):
+    order = []
+
+    def late(others):
+        time.sleep(0.2)
+        order.append("late")
+        return others.gather()
+
+    def first(others):
+        alone = others.gather()
+        time.sleep(0.2)
+        order.append("first")
+        return alone
+
+    def early(others):
+        alone = others.gather()
+        order.append("early")
+        return alone
+
+    # As left by processes that were killed, of a run of as many and of another one.
+    for count in (3, 7):
+        left = json.dumps(["done", "process 1 on host", "", 5, 0.0])
+        (tmp_path / f".set.process-00001-of-0000{count}").write_text(left)
+    found = together(tmp_path / "set", [first, late, early])
+    assert found == {0: True, 1: False, 2: False}
+    assert order == ["late", "first", "early"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_reason_to_end_comes_to_all(tmp_path):
+    def full(others):
+        time.sleep(0.1)  # the first one has seen that it was there
+        raise InputError("no room; make some")
+
+    found = together(tmp_path / "set", [RollCall.gather, full, RollCall.gather])
+    assert isinstance(found[1], InputError)
+    for index in (0, 2):
+        assert isinstance(found[index], LostProcess)
+        assert str(found[index]).startswith("process 1 of 3 (process ")
+        assert str(found[index]).endswith("has ended: no room; make some")
+    # Started again, they do not take the old reason for a new one.
+    found = together(tmp_path / "set", [RollCall.gather] * 3)
+    assert found == {0: True, 1: False, 2: False}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_who_is_silent_or_never_came_is_named(tmp_path):
+    def killed(others):
+        time.sleep(0.1)
+        others._ended.set()  # no sign from now on, and no word
+        others._thread.join()
+        others._place = Place()  # nor does it take its file away
+
+    def first(others):
+        time.sleep(0.2)
+        return others.gather()
+
+    found = together(tmp_path / "set", [first, killed, RollCall.gather], patience=0.3)
+    message = r"process 1 of 3 \(process .*\) has not been heard of for 0.3 s; start all of them"
+    for index in (0, 2):
+        with pytest.raises(LostProcess, match=message):
+            raise found[index]
+    with pytest.raises(LostProcess, match=r"process 1 of 2 is not there after 0.2 s; start all"):
+        with RollCall(tmp_path / "other", Place(0, 2), 0.2) as others:
+            others.gather()
+
+
+def test_two_processes_of_one_number_are_refused(tmp_path):
+    with RollCall(tmp_path / "set", Place(1, 2)):
+        with pytest.raises(InputError, match="is being written by process"):
+            with RollCall(tmp_path / "set", Place(1, 2)):
+                pass
+
+
+def test_one_that_cannot_go_on_alone_ends_whatever_it_is_doing(tmp_path):
+    code = f"""
+import time
+from pathlib import Path
+from gnnjax.roll_call import Place, RollCall
+with RollCall(Path({str(tmp_path / "run")!r}), Place(0, 2), 0.5, all_at_once=True):
+    time.sleep(600)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: process 1 of 2 is not there after 0.5 s; start all of them again to go on\n"
+    )
+
+
+def test_options_and_launchers_say_which_process_this_is(monkeypatch):
+    for names in (
+        ("SLURM_PROCID", "SLURM_NTASKS"),
+        ("OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"),
+    ):
+        for name in names:
+            monkeypatch.delenv(name, raising=False)
+    assert ClusterOptions().place() == (0, 1)
+    with pytest.raises(InputError, match="neither Slurm nor mpirun has started this process"):
+        ClusterOptions(distributed=True).place()
+    with monkeypatch.context() as slurm:
+        slurm.setenv("SLURM_PROCID", "3")
+        slurm.setenv("SLURM_NTASKS", "5")
+        assert ClusterOptions().place() == (0, 1)
+        assert ClusterOptions(distributed=True).place() == (3, 5)
+        both = ClusterOptions(distributed=True, process_id=1, process_count=2)
+        assert both.place() == (1, 2)
+    assert [number for number in range(9) if Place(1, 4).has(number)] == [1, 5]
+    for index, count in ((2, 2), (-1, 2), (1, None), (None, 2)):
+        with pytest.raises(InputError, match=f"process {index} of {count}; give --process-count"):
+            ClusterOptions(distributed=True, process_id=index, process_count=count).place()
+    with pytest.raises(InputError, match="process_id is 0 and process_count None; add --dist"):
+        ClusterOptions(process_id=0).place()
+    with pytest.raises(InputError, match=r"patience is 0.0; it must be positive"):
+        ClusterOptions(distributed=True, patience=0.0).place()
+
+
+def test_coordinators_that_are_none_are_refused(tmp_path):
+    for options, message in (
+        ({"coordinator": "host:1"}, "coordinator is 'host:1'; add --distributed"),
+        (
+            {"coordinator": "host", "distributed": True, "process_id": 1, "process_count": 2},
+            "coordinator is 'host'; give host:port of process 0",
+        ),
+    ):
+        # In a process of its own nothing of it would be left; here the end of this one is kept.
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("gnnjax.cluster.atexit.register", lambda function: None)
+            with pytest.raises(InputError, match=message):
+                with ConnectedOptions(**options).connected(tmp_path / "run"):
+                    pass
