@@ -17,7 +17,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from PIL import Image
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
@@ -76,11 +75,8 @@ def draw_concepts(config: DrawConfig) -> None:
         "trajectory.png": _trajectory(),
     }
     for name, figure in figures.items():
-        figure.savefig(config.out / name, dpi=100)
+        atomic_write(config.out / name, lambda file, figure=figure: figure.savefig(file, dpi=90))
     draw_cover(load_robot("kuka_iiwa14"), config.out / "geometry.png")
-    for file in config.out.glob("*.png"):  # a third of the bytes in 256 colors
-        colors = Image.open(file).convert("RGB").quantize(256, dither=Image.Dither.NONE)
-        atomic_write(file, lambda out, colors=colors: colors.save(out, optimize=True))
 
 
 def _box(flat: tuple) -> Any:
