@@ -38,7 +38,7 @@ $(DEMO_INSTALLED): pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(TEST_INSTALLED): pyproject.toml | $(BIN)/python
-	$(PIP) install --editable '.[viz,experiments,dev]'
+	$(PIP) install --editable '.[viz,experiments,docs,dev]'
 	@touch $@
 
 $(DOCS_INSTALLED): pyproject.toml | $(BIN)/python
