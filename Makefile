@@ -1,5 +1,6 @@
 # make demo   plans one query and draws it       make test      what CI checks
-# make lint   style and types only               make clean     removes what these leave behind
+# make lint   style and types only               make docs      the site, in build/docs
+# make clean  removes what these leave behind
 PYTHON ?= python3
 VENV ?= .venv
 
@@ -7,10 +8,11 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet --quiet
 DEMO_INSTALLED := $(VENV)/.installed-demo
 TEST_INSTALLED := $(VENV)/.installed-test
+DOCS_INSTALLED := $(VENV)/.installed-docs
 
 SCENE := assets/scenes/blocks
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint docs clean
 
 demo: $(DEMO_INSTALLED)
 	mkdir -p demo
@@ -26,13 +28,21 @@ lint: $(TEST_INSTALLED)
 	$(BIN)/ruff format --check
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
+docs: $(DOCS_INSTALLED)
+	JAX_PLATFORMS=cpu $(BIN)/python -m sphinx -q -n -W --keep-going docs build/docs
+	@echo wrote build/docs/index.html
+
 # Installed anew only when pyproject.toml changes; the installs are editable.
 $(DEMO_INSTALLED): pyproject.toml | $(BIN)/python
 	$(PIP) install --editable '.[viz]'
 	@touch $@
 
 $(TEST_INSTALLED): pyproject.toml | $(BIN)/python
-	$(PIP) install --editable '.[viz,experiments,dev]'
+	$(PIP) install --editable '.[viz,experiments,docs,dev]'
+	@touch $@
+
+$(DOCS_INSTALLED): pyproject.toml | $(BIN)/python
+	$(PIP) install --editable '.[viz,docs]'
 	@touch $@
 
 $(BIN)/python:

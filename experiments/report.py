@@ -37,7 +37,7 @@ def results_page(results: dict[str, Row]) -> str:
     settings = results["figure5"]["rows"][0]["settings"]
     head = (
         "Made by `python -m experiments.run_all`, which measures, draws and writes this page; the "
-        "numbers are those of the JSON files in [results/](../results), and so are the verdicts on "
+        "numbers are those of the JSON files in `results/`, and so are the verdicts on "
         "the claims, which code draws from them. Cells are for all problems / for the hard ones, "
         "whose straight line is blocked. In brackets: 95 % intervals, bootstrapped over problems "
         "with all their seeds. Every configuration that a planner tests counts as a configuration "

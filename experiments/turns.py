@@ -1,5 +1,6 @@
 """What contenders needed for the same problems, turn by turn: kept in files, and summed up."""
 
+import functools
 import hashlib
 import json
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import gnnjax
 from experiments.contenders import Turn
 from experiments.results import Row
 from gnnjax.files import atomic_write, check_target
@@ -17,10 +19,17 @@ Columns = dict[str, Any]  # a turn as it is kept: the clock, and a list for each
 
 
 def folder_of(runs: Path, name: str, settings: Any, *files: Path) -> Path:
-    """Where is kept what was measured with settings and files; what others have measured lies
-    elsewhere."""
-    told = json.dumps(settings).encode() + b"".join(file.read_bytes() for file in files)
+    """Where is kept what this very code has measured with settings and files; what others have
+    measured, or earlier versions, lies elsewhere."""
+    told = json.dumps([settings, _code()]).encode() + b"".join(file.read_bytes() for file in files)
     return runs / f"{name}_{hashlib.sha256(told).hexdigest()[:8]}"
+
+
+@functools.cache
+def _code() -> str:
+    """A digest of the package's modules."""
+    files = sorted(Path(gnnjax.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def kept(path: Path, measure: Callable[[], Any]) -> Any:

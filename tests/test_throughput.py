@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from experiments import contenders, throughput
+from experiments import contenders, throughput, turns
 from experiments.contenders import Answer, Turn
 from experiments.record import run
 from experiments.results import load_results
 from experiments.throughput import EXPERIMENT, Contender, ThroughputConfig
-from experiments.turns import kept, summarize, summarize_turn
+from experiments.turns import folder_of, kept, summarize, summarize_turn
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.planning.query import Plan, make_plan
@@ -177,3 +177,11 @@ def test_a_verdict_compares_within_turns():
 def test_what_was_kept_is_not_measured_again(tmp_path):
     assert kept(tmp_path / "folder" / "one.json", lambda: [1]) == [1]
     assert kept(tmp_path / "folder" / "one.json", lambda: [2]) == [1]
+
+
+def test_what_other_code_or_other_settings_have_measured_lies_elsewhere(tmp_path, monkeypatch):
+    found = [folder_of(tmp_path, "one", settings) for settings in (1, 1, 2)]
+    monkeypatch.setattr(turns, "_code", lambda: "of yesterday")
+    found.append(folder_of(tmp_path, "one", 1))
+    assert found[0] == found[1]
+    assert len(set(found)) == 3
