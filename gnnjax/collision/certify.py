@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
-from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of
+from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of, scene_faults
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.allowed import check_allowed
 from gnnjax.scene.scene import Scene, make_scene
@@ -254,12 +254,14 @@ def base_clear(robot: Robot, scene: Scene | Obstacles) -> np.ndarray:
 
 
 def check_scene(scene: Scene) -> None:
-    """Refuses a scene that nothing can be proven in.
+    """Refuses one scene that nothing can be proven in.
 
     Raises:
         InputError: a box that is not finite, has no size, or a quaternion that is not normalized.
     """
-    obstacles_of(scene)
+    for fault in scene_faults(scene):
+        if fault is not None:
+            raise InputError(fault)
 
 
 def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: float) -> float:

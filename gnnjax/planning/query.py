@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import base_clear, check_scene, clearances, known_obstacles
-from gnnjax.collision.obstacles import scene_faults
+from gnnjax.collision.certify import base_clear, check_scene, clearances
+from gnnjax.collision.obstacles import Obstacles, scene_faults
 from gnnjax.errors import InputError, one_line
 from gnnjax.problems.problem import Problem
+from gnnjax.scene.allowed import check_allowed
 from gnnjax.scene.mujoco_world import deepest_contact, depth_in_base
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
 from gnnjax.scene.units import doubtful_units
@@ -126,7 +127,8 @@ def check_queries(robot: Robot, problems: Problem, margin: float = 0.0) -> list[
     scenes = jax.tree.map(lambda x: np.asarray(x)[rows], problems.scene)
     ends = np.concatenate([starts[rows], goals[rows]])
     owner = np.tile(np.arange(len(rows)), 2)
-    known = known_obstacles(robot, scenes)
+    check_allowed(robot, scenes)
+    known = Obstacles(scenes)  # which have no faults
     thick = inflated(scenes, margin) if margin else known
     clearance = clearances(robot, thick, ends, owner, most=0.0).reshape(2, -1)
     found = [
