@@ -16,7 +16,7 @@ from gnnjax.viewer.prices import make_pricer
 from gnnjax.viewer.saving import query_text
 from gnnjax.viewer.session import Session
 
-_FROM = np.array([0.95, -0.85, 0.55])  # where cameras begin, from the middle, in the arm's extents
+_FROM = np.array([1.2, -0.55, 0.12])  # where cameras begin, from the middle, in the arm's extents
 _PREPARE_S = 1.0  # after the first query
 
 
