@@ -42,7 +42,7 @@ $(TEST_INSTALLED): pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(DOCS_INSTALLED): pyproject.toml | $(BIN)/python
-	$(PIP) install --editable '.[viz,docs]'
+	$(PIP) install --editable '.[viz,view,docs]'
 	@touch $@
 
 $(BIN)/python:

@@ -2,21 +2,15 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 import tyro
 
-from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
-from gnnjax.problems.moveit import query_from_moveit
-from gnnjax.scene.any_file import read_scene
-from gnnjax.scene.holding import attach_from_json
-from gnnjax.scene.scene import Scene
+from gnnjax.query_options import QueryOptions, read_query, read_robot
 from gnnjax.trajectory.files import check_trajectory_file, save_trajectory
 from gnnjax.trajectory.options import MotionOptions, check_motion_options
 from gnnjax.trajectory.trajectory import check_step, sample_trajectory
@@ -26,33 +20,9 @@ _UNTOLD = ("reason", "trajectory")  # of a plan, in the file of its path
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PlanConfig(PlannerOptions, MotionOptions):
+class PlanConfig(QueryOptions, PlannerOptions, MotionOptions):
     """Plan one query and write its path."""
 
-    scene: Path
-    """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt), .xml (a
-    MuJoCo model, less the robot in it), .bt or .ot (an octomap)."""
-    start: tuple[float, ...] | None = None
-    """Joint values, rad."""
-    goal: tuple[float, ...] | None = None
-    """Joint values, rad."""
-    goal_pose: tuple[float, float, float, float, float, float, float] | None = None
-    """In place of a goal: where a frame of the arm should be, x y z (m) and a quaternion w x y z,
-    in the frame of the arm's base."""
-    frame: str | None = None
-    """Of the goal pose: the site or body; by default the site "tool", or else the last body."""
-    free: tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...] = ()
-    """Of the goal pose: its own axes along which the place is free (x y z), and about which the
-    turn is (rx ry rz; one of these, or all)."""
-    tolerance: tuple[float, float] = (1e-4, 1e-3)
-    """Of the goal pose: how far from it is near enough, m and rad."""
-    request: Path | None = None
-    """MoveIt's motion plan request (.yaml), in place of start and goal."""
-    robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF."""
-    attach: Path | None = None
-    """JSON file with what the arm holds: {"body": NAME, "boxes": [...]}, lists as in a scene, in
-    the frame of that body; "mass" (kg) and "allow" (bodies that it may touch) if need be."""
     out: Path = Path("path.npz")
     """Where the path goes: arrays path [L, D], cost, clearance (m, from obstacles,
     proven) and counts."""
@@ -67,18 +37,13 @@ class PlanConfig(PlannerOptions, MotionOptions):
     clearance: tyro.conf.Suppress[bool] = True  # which is printed
     dt: float = 0.01
     """Of the motion: seconds between the states in its file."""
-    seed: int = 0
-    """Seed of the roadmaps."""
 
 
 def main(config: PlanConfig) -> int:
     """Plans, prints a summary and writes the files; returns 1 where there is no path."""
     # All that can be refused is refused before planning, which may take a minute.
     check_target(config.out)
-    robot = load_robot(config.robot)
-    if config.attach is not None:
-        robot = attach_from_json(robot, config.attach)
-    robot, start, goal, scene = _read(config, robot)
+    robot, start, goal, scene = read_query(config, read_robot(config))
     moves = config.trajectory is not None or config.video is not None
     if config.trajectory is not None:
         check_trajectory_file(config.trajectory)
@@ -143,37 +108,6 @@ def main(config: PlanConfig) -> int:
             draw_video(planner.robot, scene, shown.times, shown.positions, config.video)
             print(f"wrote {config.video}")
     return 0
-
-
-def _read(config: PlanConfig, robot: Robot) -> tuple[Robot, np.ndarray, dict[str, Any], Scene]:
-    """Start, goal and scene that files and options say; the goal as an argument of a planner's. And
-    the arm, which holds what a request or scene of MoveIt has attached to it."""
-    ends = [config.goal is not None, config.goal_pose is not None]
-    of_pose = config.frame, config.free, config.tolerance
-    if config.goal_pose is None and of_pose != (None, (), PlanConfig.tolerance):
-        raise InputError("--frame, --free and --tolerance are of a --goal-pose; give one, too")
-    if config.request is None:
-        if config.start is None or sum(ends) != 1:
-            raise InputError(
-                "a query needs --start and --goal, or a --request of MoveIt's; --goal-pose may "
-                "take the place of --goal"
-            )
-        scene, start = read_scene(config.scene, robot), np.array(config.start)
-        if config.goal_pose is None:
-            return robot, start, {"goal": np.array(config.goal)}, scene
-        place, quat = config.goal_pose[:3], config.goal_pose[3:]
-        pose = PoseGoal(place, quat, config.free, config.tolerance, config.frame)
-        check_goal(pose)
-        tool_frame(robot, pose.frame)
-        return robot, start, {"goal_pose": pose}, scene
-    if config.start is not None or any(ends):
-        raise InputError("--request has a start and a goal; leave --start and --goal out")
-    if config.scene.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError(
-            f"--request needs a planning scene of MoveIt (.yaml); --scene is {str(config.scene)!r}"
-        )
-    robot, (start, goal, scene) = query_from_moveit(config.scene, config.request, robot)
-    return robot, np.asarray(start), {"goal": goal}, scene
 
 
 if __name__ == "__main__":

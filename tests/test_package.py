@@ -65,7 +65,11 @@ training.weights training.checkpoint training.parallel training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
 measure.machine measure.rows measure.batches measure.result_files measure.statistics measure.table
-generate paper.losses train train_motion evaluate plot video plan plot_execution execute fit
+generate paper.losses train train_motion evaluate plot video query_options plan
+plot_execution execute fit
+viewer.frames viewer.meshes viewer.worker viewer.answers viewer.session viewer.prices viewer.stage
+viewer.player viewer.ends viewer.obstacles viewer.saving viewer.downloads viewer.panel viewer.page
+view
 """.split()
 # Imported up the list, inside of functions: by name, when somebody asks for it.
 LAZY = {

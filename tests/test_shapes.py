@@ -18,6 +18,8 @@ CONSUMERS = {
     "picture": "gnnjax.plot",
     "change of frame": "gnnjax.scene.pose",
     "held object": "gnnjax.scene.held",
+    "viewer": "gnnjax.viewer.meshes",
+    "new obstacle": "gnnjax.viewer.session",
     "judge": "experiments.judge",
     "campaign": "experiments.campaign_edges",
 }

@@ -1,0 +1,105 @@
+"""What a query is on a command line, once: for the commands that plan one."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.errors import InputError
+from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
+from gnnjax.problems.moveit import query_from_moveit
+from gnnjax.scene.any_file import read_scene
+from gnnjax.scene.holding import attach_from_json
+from gnnjax.scene.scene import Scene, make_scene
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class QueryOptions:
+    """An arm, what stands around it, and where it is to go from where."""
+
+    scene: Path
+    """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt), .xml (a
+    MuJoCo model, less the robot in it), .bt or .ot (an octomap)."""
+    start: tuple[float, ...] | None = None
+    """Joint values, rad."""
+    goal: tuple[float, ...] | None = None
+    """Joint values, rad."""
+    goal_pose: tuple[float, float, float, float, float, float, float] | None = None
+    """In place of a goal: where a frame of the arm should be, x y z (m) and a quaternion w x y z,
+    in the frame of the arm's base."""
+    frame: str | None = None
+    """Of the goal pose: the site or body; by default the site "tool", or else the last body."""
+    free: tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...] = ()
+    """Of the goal pose: its own axes along which the place is free (x y z), and about which the
+    turn is (rx ry rz; one of these, or all)."""
+    tolerance: tuple[float, float] = (1e-4, 1e-3)
+    """Of the goal pose: how far from it is near enough, m and rad."""
+    request: Path | None = None
+    """MoveIt's motion plan request (.yaml), in place of start and goal."""
+    robot: str = "kuka_iiwa14"
+    """Shipped robot, or path of an MJCF."""
+    attach: Path | None = None
+    """JSON file with what the arm holds: {"body": NAME, "boxes": [...]}, lists as in a scene, in
+    the frame of that body; "mass" (kg) and "allow" (bodies that it may touch) if need be."""
+    seed: int = 0
+    """Seed of the roadmaps."""
+
+
+def read_robot(options: QueryOptions) -> Robot:
+    """The arm, with what it holds."""
+    robot = load_robot(options.robot)
+    return robot if options.attach is None else attach_from_json(robot, options.attach)
+
+
+def read_query(
+    options: QueryOptions, robot: Robot, *, edited: bool = False
+) -> tuple[Robot, np.ndarray, dict[str, Any], Scene]:
+    """Start, goal and scene that files and options say; the goal as an argument of a planner's. And
+    the arm, which holds what a request or scene of MoveIt has attached to it.
+
+    Args:
+        options: of the command.
+        robot: the arm.
+        edited: it is changed later on. So a start or goal that is not given is the arm's home,
+            and without a file the scene is empty, where else they are asked for.
+    """
+    given, goal = options.start, options.goal
+    if not edited and options.goal_pose is None and of_pose(options) != of_pose(QueryOptions):
+        raise InputError("--frame, --free and --tolerance are of a --goal-pose; give one, too")
+    if options.request is None:
+        if edited:
+            given = tuple(robot.home.tolist()) if given is None else given
+            goal = tuple(robot.home.tolist()) if not _ends(options) else goal
+        if given is None or (goal is None) == (options.goal_pose is None):
+            raise InputError(
+                "a query needs --start and --goal, or a --request of MoveIt's; --goal-pose may "
+                "take the place of --goal"
+            )
+        none = edited and options.scene is None
+        scene = make_scene([], []) if none else read_scene(options.scene, robot)
+        start = np.array(given)
+        if options.goal_pose is None:
+            return robot, start, {"goal": np.array(goal)}, scene
+        place, quat = options.goal_pose[:3], options.goal_pose[3:]
+        pose = PoseGoal(place, quat, *of_pose(options))
+        check_goal(pose)
+        tool_frame(robot, pose.frame)
+        return robot, start, {"goal_pose": pose}, scene
+    if given is not None or _ends(options):
+        raise InputError("--request has a start and a goal; leave --start and --goal out")
+    if options.scene is None or options.scene.suffix.lower() not in (".yaml", ".yml"):
+        named = "missing" if options.scene is None else repr(str(options.scene))
+        raise InputError(f"--request needs a planning scene of MoveIt (.yaml); --scene is {named}")
+    robot, (start, goal, scene) = query_from_moveit(options.scene, options.request, robot)
+    return robot, np.asarray(start), {"goal": goal}, scene
+
+
+def of_pose(options: Any) -> tuple[Any, Any, Any]:
+    """Free axes, tolerance and frame, as they stand in a `PoseGoal`."""
+    return options.free, options.tolerance, options.frame
+
+
+def _ends(options: QueryOptions) -> bool:
+    return options.goal is not None or options.goal_pose is not None

@@ -1,0 +1,1 @@
+"""A viewer in the browser: queries that are planned anew while they are edited."""
