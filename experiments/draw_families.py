@@ -20,8 +20,9 @@ from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.labelled import generate_labelled, problem_keys
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
+from gnnjax.scene.shapes import cylinder
 
-_TITLES = {
+TITLES = {
     "paper": "paper: 2 to 9 boxes",
     "shelf": "shelf: compartment to compartment, or out",
     "table": "table: end to end, among objects",
@@ -31,7 +32,10 @@ _TITLES = {
     "cans": "cans: gap to gap, or out",
     "pipes": "pipes: among them",
     "cloud_shelf": "cloud_shelf: what a camera sees of a shelf",
+    "upright": "upright: shelf, with a bottle",
 }
+# Crosswise on the flange.
+_BOTTLE = cylinder([0, 0, 0.085], radius=0.035, half_length=0.1, quat=[0.5**0.5, 0, 0.5**0.5, 0])
 _START, _GOAL = (0.25, 0.45, 0.85, 1.0), (0.85, 0.3, 0.25, 1.0)
 
 
@@ -43,20 +47,23 @@ class DrawConfig:
     """Shipped robot, or path of an MJCF."""
     index: int = 0
     """Which of the test problems."""
+    holder: str = "link_7"
+    """Body that holds the bottle of the family upright, 85 mm along its z axis."""
     out: Path = Path("docs/families.png")
     """Picture file."""
 
 
 def draw_families(config: DrawConfig) -> None:
     """Renders a panel a family with MuJoCo, and writes them as one picture."""
-    robot = load_robot(config.robot)
-    figure = Figure(figsize=(9, 9.6), layout="constrained")
-    for place, (family, title) in enumerate(_TITLES.items(), start=1):
+    alone = load_robot(config.robot)
+    figure = Figure(figsize=(9, 12.8), layout="constrained")
+    for place, (family, title) in enumerate(TITLES.items(), start=1):
+        robot = alone.attach(config.holder, [_BOTTLE]) if family == "upright" else alone
         keys = problem_keys(0, "test", config.index, 1, family)
         drawn = generate_labelled(robot, 0, family=family)(keys)
         assert isinstance(drawn, Problem)
         problem = jax.tree.map(lambda x: np.asarray(x[0]), drawn)
-        axes = figure.add_subplot(3, 3, place)
+        axes = figure.add_subplot(4, 3, place)
         axes.imshow(_render(robot, problem, on_one_side=family in FAMILIES))
         axes.set_title(title, fontsize=9)
         axes.axis("off")

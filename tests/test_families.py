@@ -10,6 +10,7 @@ import pytest
 import tyro
 from scipy.spatial.transform import Rotation
 
+from experiments.draw_families import TITLES
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import configuration_clearance
 from gnnjax.collision.checker import make_checker
@@ -150,6 +151,10 @@ def test_problems_are_valid_and_the_tip_is_where_it_should_be(tiny_path, family)
                 assert np.degrees(np.arccos(axis_by_mujoco(robot, q)[2])) < 11.5
         for one, again in zip(jax.tree.leaves(drawn), jax.tree.leaves(draw(key)), strict=True):
             np.testing.assert_array_equal(one, again)
+
+
+def test_the_picture_shows_every_family():
+    assert [*TITLES] == ["paper", *FAMILIES]
 
 
 def test_a_batch_equals_single_draws(tiny_path):

@@ -184,6 +184,19 @@ def test_covers_enclose_boxes_and_cylinders_and_their_inner_balls_do_not_stick_o
         assert (cover.depths <= np.minimum(ends, sides)).all()
 
 
+def test_what_is_held_alike_is_held_by_the_same_arm(tiny):
+    def held(half_length=0.06, **how):
+        things = [THINGS["sphere"], cylinder([0.3, 0, 0], 0.03, half_length)]
+        return tiny.attach("lower", things, **{"mass": 1.0, "allow": ["middle"], **how})
+
+    pose = (np.zeros(3), [2.0, 0, 0, 0])
+    for same in ({}, {"allow": ["middle", "middle"]}, {"pose": pose}):
+        assert held(**same) is held()
+    for other in ({"half_length": 0.061}, {"mass": 2.0}, {"allow": []}, {"mass": None}):
+        assert held(**other) is not held()
+        assert held(**other).name != held().name
+
+
 def test_its_mass_and_inertia_are_in_the_model_and_the_arm_is_as_it_was(tiny):
     before = tiny.mj_model.body_mass.copy()
     thing = THINGS["box"].values

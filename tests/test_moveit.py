@@ -519,6 +519,7 @@ def test_what_is_attached_is_held(tmp_path, tiny_path, message, request_message,
         np.testing.assert_allclose(mine.vertices, theirs.vertices, atol=1e-9)
     assert found.robot.mj_model.body_mass.sum() == pytest.approx(wanted.mj_model.body_mass.sum())
     np.testing.assert_array_equal(found.robot.part_pairs, wanted.part_pairs)
+    assert query_of(tmp_path, robot, request_message, message).robot is found.robot
     assert [
         r.message for r in caplog.records if "let arm_finger be touched, which tiny" in r.message
     ]

@@ -1,5 +1,6 @@
 """Arms from URDF files, with meshes in packages and formats that MuJoCo does not take."""
 
+import itertools
 import struct
 import sys
 
@@ -10,6 +11,10 @@ from scipy.spatial import ConvexHull
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
+from gnnjax.planning.load import make_planner
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.scene.mujoco_world import deepest_contact
+from gnnjax.scene.scene import make_scene
 
 ARM = """<?xml version="1.0"?>
 <robot name="arm">
@@ -171,6 +176,39 @@ def test_velocity_limits_are_there_for_all_joints_or_for_none(tmp_path, word):
     np.testing.assert_allclose(robot.torque_limit, [40, 30])
     weak = package(tmp_path / "weak", text=ARM.replace('effort="30"', 'effort="0"'))
     assert load_robot(weak).torque_limit is None
+
+
+def test_prefixes_that_nothing_explains_are_no_obstacle(tmp_path):
+    words = 'velocity="2" drake:acceleration="2.5"'
+    text = ARM.replace('velocity="2"', words).replace("</robot>", "<drake:joint/></robot>")
+    assert load_robot(package(tmp_path, text=text)).acceleration_limit is None
+    text = text.replace('velocity="1.5"', 'velocity="1.5" acceleration="3"')
+    robot = load_robot(package(tmp_path / "all", text=text))
+    np.testing.assert_allclose(robot.acceleration_limit, [3, 2.5])
+    np.testing.assert_allclose(robot.velocity_limit, [1.5, 2])
+
+
+def test_an_arm_that_others_publish_is_planned_for():
+    published = pytest.importorskip("airo_models", reason="its meshes are those of the extra dev")
+    # The wrist is held, which halves what is compiled.
+    moving = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
+    robot = load_robot(
+        published.get_urdf_path("ur3e"),
+        joints=moving,
+        hold={"wrist_1_joint": -1.6, "wrist_2_joint": -1.5},
+    )
+    np.testing.assert_allclose(robot.acceleration_limit, 2.5)
+    assert sum(len(part.vertices) > 30 for part in robot.parts) > 8  # meshes
+    scene = make_scene([[-0.4, 0.0, 0.15]], [[0.2, 0.03, 0.15]])
+    start, goal = np.array([[np.pi - 0.9, -1.2, 1.3], [np.pi + 0.9, -1.2, 1.3]])
+    planner = make_planner(robot, PlannerOptions(num_nodes=50, shorten=False))
+    plan = planner.plan(scene, start, goal)
+    assert plan.certified
+    pieces = itertools.pairwise(plan.path)
+    along = np.concatenate([np.linspace(a, b, 20) for a, b in pieces])
+    assert all(deepest_contact(robot, scene, q) is None for q in along)
+    straight = np.linspace(start, goal, 20)
+    assert any(deepest_contact(robot, scene, q) for q in straight)
 
 
 @pytest.mark.parametrize(

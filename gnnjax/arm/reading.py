@@ -43,9 +43,9 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
         InputError: the file lacks what planning needs, or `joints` and `hold` do not fit it.
         ValueError: MuJoCo cannot read or compile it.
     """
-    velocities, said = {}, []
+    given, said = {}, []
     if path.suffix == ".urdf":
-        spec, velocities, said = read_urdf(path)
+        spec, given, said = read_urdf(path)
     else:
         spec = mujoco.MjSpec.from_file(str(path))
     model, notes = spec.compile(), said
@@ -55,14 +55,13 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     home = None
     if key >= 0:
         home = model.key_qpos[key, model.jnt_qposadr[choice.planned]].copy()
-    limits = (
-        _numeric(model, path, "velocity_limit", choice.planned),
-        _numeric(model, path, "acceleration_limit", choice.planned),
-        _torques(model, choice.planned),
+    velocities, accelerations = (
+        _by_name(model, given[kind], choice.planned)
+        if given
+        else _numeric(model, path, f"{kind}_limit", choice.planned)
+        for kind in ("velocity", "acceleration")
     )
-    if velocities and all(joint_name(model, j) in velocities for j in choice.planned):
-        given = np.array([velocities[joint_name(model, j)] for j in choice.planned], np.float32)
-        limits = given, *limits[1:]
+    limits = velocities, accelerations, _torques(model, choice.planned)
 
     endless = [
         j for j in choice.planned if int(model.jnt_type[j]) == _HINGE and not model.jnt_limited[j]
@@ -143,6 +142,14 @@ def _numeric(model: mujoco.MjModel, path: Path, name: str, planned: list[int]) -
             f"it needs {model.njnt} positive numbers, one a joint"
         )
     return values[planned] if size == model.njnt else values
+
+
+def _by_name(
+    model: mujoco.MjModel, values: dict[str, float], planned: list[int]
+) -> np.ndarray | None:
+    """Numbers of the planned joints; None where one of them has none."""
+    found = [values.get(joint_name(model, j)) for j in planned]
+    return None if None in found else np.array(found, np.float32)
 
 
 def _torques(model: mujoco.MjModel, planned: list[int]) -> np.ndarray | None:

@@ -148,7 +148,8 @@ def load_robot(
 
     What the file leaves open is decided, logged and kept in `Robot.notes`. An MJCF may hold
     `<custom><numeric name="velocity_limit" data="..."/></custom>`, likewise `acceleration_limit`,
-    and a keyframe called `home`. The same arguments give the same object.
+    and a keyframe called `home`; a URDF's limits `acceleration` or `drake:acceleration`. The same
+    arguments give the same object.
 
     Args:
         robot: name or path.
@@ -212,8 +213,7 @@ def _robot_of(
     reading: Reading, model: mujoco.MjModel, path: Path, allow: tuple[tuple[str, str], ...]
 ) -> Robot:
     check_joints(model, path)
-    # Only bodies that carry geoms or joints matter, but keeping all makes parents simple:
-    # MuJoCo's body 0 is the world, so body b is bodies[b - 1].
+    # All bodies, which makes parents simple: body b is bodies[b - 1], as 0 is MuJoCo's world.
     bodies = tuple(read_body(model, b) for b in range(1, model.nbody))
 
     geom_ids = collision_geoms(model)

@@ -9,6 +9,7 @@ import contextlib
 import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from xml.parsers import expat
 
 import mujoco
 import numpy as np
@@ -27,19 +28,21 @@ _COMPILER = {
     "boundmass": "1e-3",
     "boundinertia": "1e-6",
 }
+# What may limit a joint besides its range and effort, and how URDFs write it.
+_LIMITS = {"velocity": ("velocity",), "acceleration": ("acceleration", "drake:acceleration")}
 
 
-def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, float], list[str]]:
-    """Reads a URDF, the velocity limits of its joints by name, in rad/s or m/s, and what there is
-    to be said about it.
+def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, dict[str, float]], list[str]]:
+    """Reads a URDF, the limits of "velocity" and "acceleration" of its joints by name, in rad or m
+    and s, and what there is to be said about it.
 
     Raises:
         InputError: it is no URDF, or a mesh is missing or cannot be read.
         ValueError: MuJoCo cannot read it.
     """
     try:
-        root = ET.fromstring(path.read_bytes())
-    except ET.ParseError as error:
+        root = _parsed(path.read_bytes())
+    except expat.ExpatError as error:
         raise InputError(f"{str(path)!r} is no XML: {error}; check the file") from None
     if root.tag != "robot":
         raise InputError(f"{str(path)!r} begins with <{root.tag}>; a URDF begins with <robot>")
@@ -73,14 +76,31 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, float], list[str]]:
                 names[file, scale] = f"mesh_{len(names)}{ending}"
                 assets[names[file, scale]] = data
             mesh.set("filename", names[file, scale])
-    velocities = {}
-    for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        with contextlib.suppress(ValueError):  # a word in place of a number is no limit
-            if limit is not None and 0 < float(limit.get("velocity", "0")) < np.inf:
-                velocities[joint.get("name", "")] = float(limit.get("velocity", "0"))
+    limits = {kind: _limits(root, names) for kind, names in _LIMITS.items()}
     text = ET.tostring(root, encoding="unicode")
-    return mujoco.MjSpec.from_string(text, assets=assets), velocities, notes
+    return mujoco.MjSpec.from_string(text, assets=assets), limits, notes
+
+
+def _parsed(data: bytes) -> ET.Element:
+    """The root of an XML file. Prefixes are a part of names: URDFs have them without saying what
+    they stand for, which those who read URDFs take, and XML's own readers do not."""
+    tree, parser = ET.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = tree.start, tree.end
+    parser.CharacterDataHandler = tree.data
+    parser.Parse(data, True)
+    return tree.close()
+
+
+def _limits(root: ET.Element, names: tuple[str, ...]) -> dict[str, float]:
+    """A limit of the joints that have it, by their names; `names` are those of the limit."""
+    found = {}
+    for joint in root.findall("joint"):
+        for limit in joint.findall("limit"):
+            word = next((limit.get(name) for name in names if limit.get(name)), "")
+            with contextlib.suppress(ValueError):  # a word in place of a number is no limit
+                if 0 < float(word) < np.inf:
+                    found[joint.get("name", "")] = float(word)
+    return found
 
 
 def _mend_inertia(link: ET.Element) -> None:

@@ -5,6 +5,7 @@ the arm knows it as well: kernels, certificate, distance field, MuJoCo worlds an
 """
 
 import dataclasses
+import functools
 import hashlib
 import logging
 from collections.abc import Sequence
@@ -19,7 +20,8 @@ from gnnjax.arm.mjcf import self_pairs, without_warnings
 from gnnjax.arm.parts import part_of_geom
 from gnnjax.arm.robot import Robot, read_body
 from gnnjax.errors import InputError, brief
-from gnnjax.scene.held import add_body, items_from, pose_from
+from gnnjax.scene.held import Item, add_body, items_from, pose_from
+from gnnjax.scene.pose import Pose
 from gnnjax.scene.scene_file import read_json, shapes_of
 
 _LOG = logging.getLogger(__name__)
@@ -35,6 +37,8 @@ def attach(
     allow: Sequence[str] = (),
 ) -> Robot:
     """An arm that holds something: a new `Robot`, with a name of its own; the old one is as it was.
+
+    The same arguments give the same object, of the last 32: kernels are compiled once for each.
 
     What is held stays clear of all parts of the arm but those of bodies that do not move against
     the one that holds it (its hand, and fingers that are held), and those of `allow`. Fingers that
@@ -54,10 +58,27 @@ def attach(
         InputError: an unknown body, or one that no joint moves; no shapes, or one that cannot be
             held; a pose or mass that is none; the arm cannot move without touching what it holds.
     """
-    holder = _holder(robot, body)
+    _holder(robot, body)
     _check_allowed(robot, allow)
-    items = items_from(shapes, pose_from(pose), body)
-    key = hashlib.sha256(repr((robot.name, body, mass, tuple(allow))).encode())
+    items = tuple(
+        (item.kind, *(tuple(x.tolist()) for x in (*item.pose, item.size)))
+        for item in items_from(shapes, pose_from(pose), body)
+    )
+    mass = None if mass is None else float(mass)
+    return _attached(robot, body, items, mass, tuple(sorted({*allow})))
+
+
+@functools.lru_cache(maxsize=32)
+def _attached(
+    robot: Robot, body: str, flat: tuple, mass: float | None, allow: tuple[str, ...]
+) -> Robot:
+    """`attach` of what was found good; `flat` are the fields of items, whose numbers are tuples."""
+    items = [
+        Item(kind, Pose(np.array(position), np.array(quat)), np.array(size))
+        for kind, position, quat, size in flat
+    ]
+    holder = robot.mj_model.body(body).id
+    key = hashlib.sha256(repr((robot.name, body, mass, allow)).encode())
     for item in items:
         key.update(item.kind.encode() + b"".join(x.tobytes() for x in (*item.pose, item.size)))
     digest = key.hexdigest()[:8]
