@@ -55,7 +55,8 @@ problems.problem problems.file problems.shards problems.camera
 problems.structures problems.shelves problems.furniture problems.clutter problems.families
 problems.family_problem problems.labelled problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
-trajectory.clearance trajectory.timing trajectory.jerk trajectory.trajectory trajectory.files
+trajectory.clearance trajectory.timing trajectory.batches trajectory.needs trajectory.jerk
+trajectory.trajectory trajectory.files
 planning.options planning.query planning.goals planning.motions planning.progress
 planning.strategy planning.walks planning.guided planning.pool planning.shortening
 planning.shortcuts planning.trees

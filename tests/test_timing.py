@@ -209,7 +209,8 @@ def test_durations_are_those_of_a_dense_search(free, number):
 
 @pytest.mark.parametrize("backend", ["cpu", "gpu"])  # which computes many curves at once
 def test_a_batch_is_what_its_paths_are_alone(free, monkeypatch, backend):
-    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)._asdict()
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES, jerk=60)
+    limits = limits._asdict()
     paths = random_paths(free, 12)
     assert {size_of(path) for path in paths} == {2, 4}
     alone = [time_path(free, NOTHING, path, **limits) for path in paths]
@@ -217,6 +218,7 @@ def test_a_batch_is_what_its_paths_are_alone(free, monkeypatch, backend):
     together = time_paths(free, NOTHING, paths, **limits)
     for one, other in zip(together, alone, strict=True):
         np.testing.assert_allclose(one.timing.times, other.timing.times, rtol=1e-9)
+        np.testing.assert_allclose(one.profile.times, other.profile.times, rtol=1e-9)
         assert (one.cost, one.stops) == (other.cost, other.stops)
 
 

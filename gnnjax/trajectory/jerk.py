@@ -12,17 +12,26 @@ Limits are compared at places whose distance is a fraction of an interval of the
 side of each leap of the jerk. On straight lines, where the shortest motion is known, this one takes
 no longer where a velocity is reached for as long as the window is, and up to a fifth longer where
 it is not.
+
+A stretch is all of its curve's grid, whose other intervals take no time, so that there are few
+shapes to compile.
 """
 
 import itertools
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.robot import Robot
+from gnnjax.clock import Clock
+from gnnjax.trajectory.batches import over_curves
 from gnnjax.trajectory.curve import Curve, places, thirds
-from gnnjax.trajectory.dynamics import inverse_dynamics_by_mujoco
 from gnnjax.trajectory.limits import Limits
+from gnnjax.trajectory.needs import Needs, needs_of
 from gnnjax.trajectory.timing import Timing
 
 _PARTS = np.linspace(0, 1, 5)  # of a piece, at which limits are compared
@@ -32,206 +41,258 @@ _WINDOWS = 2.0 ** np.arange(-5, 1.6, 0.5)  # that are tried, shares of one that 
 class Profile(NamedTuple):
     """A way s along a curve over time, cubic in K pieces."""
 
-    times: np.ndarray  # [K+1] s
-    way: np.ndarray  # [K] at the beginning of each, configuration units
-    speed: np.ndarray  # [K] units/s
-    push: np.ndarray  # [K] units/s^2
-    jerk: np.ndarray  # [K] units/s^3
+    times: Float[Array | np.ndarray, "*batch K+1"]  # s
+    way: Float[Array | np.ndarray, "*batch K"]  # at the beginning of each, configuration units
+    speed: Float[Array | np.ndarray, "*batch K"]  # units/s
+    push: Float[Array | np.ndarray, "*batch K"]  # units/s^2
+    jerk: Float[Array | np.ndarray, "*batch K"]  # units/s^3
 
-    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def at(self, times: np.ndarray) -> tuple[Any, Any, Any]:
         """Way, speed and push at times `[T]`."""
         piece = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.way) - 1)
         return self.after(piece, times - self.times[piece])
 
-    def after(
-        self, piece: np.ndarray, since: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def after(self, piece: Any, since: Any) -> tuple[Any, Any, Any]:
         """The same in pieces, a time after their beginning."""
         s, v, a, j = (x[piece] for x in self[1:])
         way = s + since * (v + since * (a / 2 + since * j / 6))
         return way, v + since * (a + since * j / 2), a + since * j
 
-    def slowed(self, factor: float) -> "Profile":
+    def slowed(self, factor: Any) -> "Profile":
         """The same way, slower."""
         powers = (-1, 0, 1, 2, 3)
         return Profile(*(x / factor**n for x, n in zip(self, powers, strict=True)))
 
 
-class _Needs(NamedTuple):
-    """Torques at P places of a curve, N m or N."""
+class _Stretch(NamedTuple):
+    """What is between two stops."""
 
-    rest: np.ndarray  # [P D]
-    push: np.ndarray  # [P D] of each unit/s^2
-    speed: np.ndarray  # [P D] of each unit^2/s^2
-    damping: np.ndarray  # [P D] of each unit/s
-    dry: np.ndarray  # [P D] while it moves
+    curve: Curve
+    timing: Timing
+    needs: Needs | None  # at all halves of intervals; None: torques have no limits
+    first: int  # grid point of the stop before it
+    last: int  # of that behind it
 
 
-def limit_jerk(robot: Robot, limits: Limits, curve: Curve, timing: Timing) -> Profile | None:
-    """A motion along a curve within all limits, jerk included, from the fastest one without; None
-    where slowing down does not bring it there: torques do not suffice to be slow."""
-    halves = np.arange(2 * len(curve.grid) - 1) / 2
-    needs = None if limits.torque is None else _needs(robot, curve, halves)
-    stops, found = np.flatnonzero(curve.stops), []
-    for first, last in itertools.pairwise(stops.tolist()):
-        if curve.grid[last] == curve.grid[first]:
-            continue
-        profile = _stretch(robot, limits, curve, timing, needs, first, last)
-        if profile is None:
-            return None
-        found.append(profile)
-    if not found:  # nothing moves
+class _Samples(NamedTuple):
+    """Where limits are compared."""
+
+    at: Float[Array, "*batch P"]  # grid index
+    speed: Float[Array, "*batch P"]
+    push: Float[Array, "*batch P"]
+    jerk: Float[Array, "*batch P"]
+    exists: Bool[Array, "*batch P"]  # false in pieces that take no time
+
+
+class _Slower(NamedTuple):
+    """A motion along a stretch, from time zero on."""
+
+    profile: Profile  # with pieces that take no time
+    samples: _Samples
+    factor: Float[Array, "*batch"]  # by which it has been slowed down; inf: in vain
+
+
+def limit_jerk(
+    robot: Robot,
+    limits: Limits,
+    curves: Sequence[Curve],
+    timings: Sequence[Timing],
+    wanted: Sequence[bool],
+    clock: Clock,
+) -> list[Profile | None]:
+    """Motions along curves within all limits, jerk included, from the fastest ones without.
+
+    None where one is not wanted, or jerk has no limits; and where slowing down does not bring it
+    there: torques do not suffice to be slow.
+    """
+    found: list[Profile | None] = [None] * len(curves)
+    chosen = [] if limits.jerk is None else np.flatnonzero(wanted).tolist()
+    if not chosen:
+        return found
+    needs: list[Needs | None] = [None] * len(chosen)
+    if limits.torque is not None:
+        halves = [np.arange(2 * len(curves[i].grid) - 1) / 2 for i in chosen]
+        needs = [*needs_of(robot, [curves[i] for i in chosen], halves, clock)]
+    owners, stretches = [], []
+    for i, need in zip(chosen, needs, strict=True):
+        curve = curves[i]
+        for first, last in itertools.pairwise(np.flatnonzero(curve.stops).tolist()):
+            if curve.grid[last] > curve.grid[first]:
+                owners.append(i)
+                stretches.append(_Stretch(curve, timings[i], need, first, last))
+    sizes = [len(each.curve.grid) for each in stretches]
+    slower = over_curves(_alone, _together, limits, stretches, sizes, clock)
+    parts: dict[int, list[Profile | None]] = {i: [] for i in chosen}
+    factors = _exact_factors(robot, limits, [each.curve for each in stretches], slower, clock)
+    for i, each, factor in zip(owners, slower, factors, strict=True):
+        parts[i].append(each.profile.slowed(factor) if np.isfinite(factor) else None)
+    for i in chosen:
+        found[i] = _joined(parts[i])
+    return found
+
+
+def _joined(parts: Sequence[Profile | None]) -> Profile | None:
+    """One motion after the other, without the pieces that take no time."""
+    if not parts:  # nothing moves
         return Profile(np.zeros(2), *np.zeros((4, 1)))
-    starts = np.cumsum([0.0, *(x.times[-1] for x in found)])
-    times = [x.times[:-1] + start for x, start in zip(found, starts[:-1], strict=True)]
-    pieces = (np.concatenate([x[n] for x in found]) for n in range(1, 5))
+    whole = [part for part in parts if part is not None]
+    if len(whole) < len(parts):
+        return None
+    starts = np.cumsum([0.0, *(float(part.times[-1]) for part in whole)])
+    left = [np.diff(part.times) > 0 for part in whole]
+    times = [
+        part.times[:-1][some] + start
+        for part, some, start in zip(whole, left, starts[:-1], strict=True)
+    ]
+    pieces = (
+        np.concatenate([part[n][some] for part, some in zip(whole, left, strict=True)])
+        for n in range(1, 5)
+    )
     return Profile(np.concatenate([*times, starts[-1:]]), *pieces)
 
 
-def _stretch(
-    robot: Robot,
-    limits: Limits,
-    curve: Curve,
-    timing: Timing,
-    needs: _Needs | None,
-    first: int,
-    last: int,
-) -> Profile | None:
-    """The motion between two stops, at grid points."""
-    inside = slice(first, last)
-    times = timing.times[first : last + 1] - timing.times[first]
-    pushes = timing.u[inside]
-    slopes = places(curve, np.arange(first, last) + 0.5).slope
-    steepest = (np.abs(slopes) / limits.jerk).max()
-    enough = float(steepest * (max(pushes.max(), 0.0) - min(pushes.min(), 0.0)))
+def _slower(limits: Limits, stretch: _Stretch) -> _Slower:
+    """The motion along one stretch; torques are read between points of the grid."""
+    curve, timing, needs, first, last = stretch
+    assert limits.jerk is not None
+    begin = timing.times[first]
+    length = timing.times[last] - begin
+    times = jnp.clip(timing.times - begin, 0.0, length)
+    index = jnp.arange(len(times))
+    x = jnp.where((index >= first) & (index <= last), timing.x, 0.0)
+    inside = (index[:-1] >= first) & (index[:-1] < last)
+    pushes = jnp.where(inside, timing.u, 0.0)
+    slopes = places(curve, index[:-1] + 0.5).slope
+    steepest = jnp.max(jnp.abs(slopes) / limits.jerk, where=inside[:, None], initial=0.0)
+    enough = steepest * (pushes.max(initial=0.0) - pushes.min(initial=0.0))
 
-    def tried(window: float) -> tuple[float, float, Profile]:
-        profile = _averaged(times, timing.x[first : last + 1], pushes, window)
+    def tried(window: jax.Array) -> _Slower:
+        profile = _averaged(times, x, pushes, window)
         profile = profile._replace(way=profile.way + curve.grid[first])
-        factor = _factor(limits, curve, needs, *_samples(curve, profile, first, last))
-        return factor * profile.times[-1], factor, profile
+        samples = _samples(curve, profile, first, last)
+        return _Slower(profile, samples, _factor(limits, curve, needs, samples))
 
-    _, factor, profile = min((tried(enough * share) for share in _WINDOWS), key=lambda x: x[0])
-    if not np.isfinite(factor):
-        return None
-    profile = profile.slowed(factor)
-    if needs is None:
-        return profile
-    # Torques were read between points of the grid; here they are what they are.
-    at, speed, push, _ = _samples(curve, profile, first, last)
-    place, v, a = places(curve, at), speed[:, None], push[:, None]
-    moved = place.q, place.slope * v, place.slope * a + place.bend * v**2
-    if (np.abs(inverse_dynamics_by_mujoco(robot, *moved)) <= limits.torque).all():
-        return profile
-    exact = _torque_factor(limits, _needs(robot, curve, at), speed, push)
-    return profile.slowed(max(1.0, exact)) if np.isfinite(exact) else None
+    windows = enough * _WINDOWS
+    factors = jax.lax.map(lambda window: tried(window).factor, windows)
+    best = tried(windows[jnp.argmin(factors * (length + windows))])
+    factor, (at, speed, push, jerk, exists) = best.factor, best.samples
+    slow = _Samples(at, speed / factor, push / factor**2, jerk / factor**3, exists)
+    return _Slower(best.profile.slowed(factor), slow, factor)
 
 
-def _averaged(times: np.ndarray, x: np.ndarray, pushes: np.ndarray, window: float) -> Profile:
+_alone = jax.jit(_slower)
+_together = jax.jit(jax.vmap(_slower, in_axes=(None, 0)))
+
+
+def _averaged(
+    times: Float[Array, " P"], x: Float[Array, " P"], pushes: Float[Array, " N"], window: jax.Array
+) -> Profile:
     """The motion with constant pushes between times whose speed is the mean over a window before.
 
     Args:
-        times: `[M+1]` s, from 0.
-        x: `[M+1]` squared speeds, 0 at both ends.
-        pushes: `[M]`.
+        times: s, from 0; P = N + 1.
+        x: squared speeds, 0 at both ends.
+        pushes: between times.
         window: s.
     """
-    speeds = np.sqrt(x)
-    steps = np.diff(times)
-    ways = np.concatenate([[0.0], np.cumsum(steps * (speeds[1:] + speeds[:-1]) / 2)])
+    speeds, steps = jnp.sqrt(x), jnp.diff(times)
+    ways = jnp.append(0.0, jnp.cumsum(steps * (speeds[1:] + speeds[:-1]) / 2))
 
-    def before(at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def before(at: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Way, speed and push of the motion."""
-        row = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(steps) - 1)
-        since = np.clip(at - times[row], 0.0, steps[row])
+        row = jnp.clip(jnp.searchsorted(times, at, side="right") - 1, 0, len(steps) - 1)
+        since = jnp.clip(at - times[row], 0.0, steps[row])
         moving = (at > 0) & (at < times[-1])
         way = ways[row] + since * (speeds[row] + since * pushes[row] / 2)
         speed = speeds[row] + since * pushes[row]
-        return way, np.where(moving, speed, 0.0), np.where(moving, pushes[row], 0.0)
+        return way, jnp.where(moving, speed, 0.0), jnp.where(moving, pushes[row], 0.0)
 
-    cuts = np.union1d(times, times + window)
+    cuts = jnp.sort(jnp.concatenate([times, times + window]))
     middles = (cuts[1:] + cuts[:-1]) / 2
     way, speed, _ = (
         (now - then) / window for now, then in zip(before(cuts), before(cuts - window), strict=True)
     )
     leaps = before(middles)[2] - before(middles - window)[2]
-    v, a, j, lasts = way[:-1], speed[:-1], leaps / window, np.diff(cuts)
-    gone = np.cumsum(lasts * (v + lasts * (a / 2 + lasts * j / 6)))
-    return Profile(cuts, np.concatenate([[0.0], gone[:-1]]), v, a, j)
+    v, a, j, lasts = way[:-1], speed[:-1], leaps / window, jnp.diff(cuts)
+    gone = jnp.cumsum(lasts * (v + lasts * (a / 2 + lasts * j / 6)))
+    return Profile(cuts, jnp.append(0.0, gone[:-1]), v, a, j)
 
 
-def _samples(
-    curve: Curve, profile: Profile, first: int, last: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Where limits are compared: grid indices, speeds, pushes and jerks."""
-    piece = np.repeat(np.arange(len(profile.way)), len(_PARTS))
-    since = (np.diff(profile.times)[:, None] * _PARTS).ravel()
+def _samples(curve: Curve, profile: Profile, first: jax.Array, last: jax.Array) -> _Samples:
+    steps = jnp.diff(profile.times)
+    piece = jnp.repeat(jnp.arange(len(steps)), len(_PARTS))
+    since = (steps[:, None] * _PARTS).ravel()
     way, _, _ = profile.after(piece, since)
     # Where blends begin and end, the third derivative leaps.
-    ends = np.stack([curve.entries, curve.exits])[:, curve.blends > 0].ravel()
-    ends = curve.grid[ends[(ends >= first) & (ends <= last)]]
-    when = np.interp(ends, np.maximum.accumulate(way), profile.times[piece] + since)
-    more = np.clip(np.searchsorted(profile.times, when, side="right") - 1, 0, len(profile.way) - 1)
-    piece = np.concatenate([piece, more])
-    since = np.concatenate([since, when - profile.times[more]])
-    way, speed, push = profile.after(piece, since)
-    way = np.concatenate([way[: -len(ends) or None], ends])
-    at = np.interp(way, curve.grid[first : last + 1], np.arange(first, last + 1))
-    return at, np.maximum(speed, 0.0), push, profile.jerk[piece]
+    ends = jnp.concatenate([curve.entries, curve.exits])
+    own = jnp.tile(curve.blends > 0, 2) & (ends >= first) & (ends <= last)
+    ends = curve.grid[jnp.where(own, ends, first)]
+    when = jnp.interp(ends, jax.lax.cummax(way), profile.times[piece] + since)
+    more = jnp.clip(jnp.searchsorted(profile.times, when, side="right") - 1, 0, len(steps) - 1)
+    piece = jnp.concatenate([piece, more])
+    since = jnp.concatenate([since, when - profile.times[more]])
+    _, speed, push = profile.after(piece, since)
+    at = jnp.interp(jnp.append(way, ends), curve.grid, jnp.arange(len(curve.grid)))
+    at = jnp.clip(at, first, last)  # other stretches begin and end where this one does
+    return _Samples(at, jnp.maximum(speed, 0.0), push, profile.jerk[piece], steps[piece] > 0)
 
 
-def _factor(
-    limits: Limits,
-    curve: Curve,
-    needs: _Needs | None,
-    at: np.ndarray,
-    speed: np.ndarray,
-    push: np.ndarray,
-    jerk: np.ndarray,
-) -> float:
+def _factor(limits: Limits, curve: Curve, needs: Needs | None, samples: _Samples) -> jax.Array:
     """By how much a motion has to be slowed down for all limits to hold; inf where that is in
     vain."""
+    assert limits.jerk is not None
+    at, exists = samples.at, samples.exists[:, None]
     place = places(curve, at)
-    v, a, j = (x[:, None] for x in (speed, push, jerk))
+    v, a, j = (x[:, None] for x in samples[1:4])
     steady = 3 * place.bend * v * a + place.slope * j
-    jerks = np.stack([thirds(curve, at + side) * v**3 + steady for side in (-1e-9, 1e-9)])
-    factors = [
-        np.abs(place.slope * v / limits.velocity).max(),
-        np.abs((place.slope * a + place.bend * v**2) / limits.acceleration).max() ** (1 / 2),
-        np.abs(jerks / limits.jerk).max() ** (1 / 3),
-    ]
-    if needs is not None:
-        near = np.clip(2 * at, 0, len(needs.rest) - 1)
-        low = np.minimum(near.astype(int), len(needs.rest) - 2)
-        share = (near - low)[:, None]
-        between = _Needs(*((1 - share) * x[low] + share * x[low + 1] for x in needs))
-        factors.append(_torque_factor(limits, between, speed, push))
-    return max(1.0, *(float(x) for x in factors))
+    jerks = jnp.stack([thirds(curve, at + side) * v**3 + steady for side in (-1e-9, 1e-9)])
+
+    def most(values: jax.Array) -> jax.Array:
+        return jnp.max(jnp.abs(values), where=exists, initial=0.0)
+
+    factor = jnp.maximum(1.0, most(place.slope * v / limits.velocity))
+    pushes = (place.slope * a + place.bend * v**2) / limits.acceleration
+    factor = jnp.maximum(factor, most(pushes) ** (1 / 2))
+    factor = jnp.maximum(factor, most(jerks / limits.jerk) ** (1 / 3))
+    if needs is None:
+        return factor
+    near = jnp.clip(2 * at, 0, len(needs.rest) - 1)
+    low = jnp.minimum(near.astype(int), len(needs.rest) - 2)
+    share = (near - low)[:, None]
+    between = Needs(*((1 - share) * x[low] + share * x[low + 1] for x in needs))
+    return jnp.maximum(factor, _torque_factor(limits, between, samples))
 
 
-def _torque_factor(limits: Limits, needs: _Needs, speed: np.ndarray, push: np.ndarray) -> float:
+def _torque_factor(limits: Limits, needs: Needs, samples: _Samples) -> jax.Array | np.floating:
     """The least f >= 0 from which on torques, `rest + linear / f + square / f^2`, keep limits."""
-    v, a = speed[:, None], push[:, None]
-    rest, linear = needs.rest + np.sign(v) * needs.dry, needs.damping * v
+    v, a = samples.speed[:, None], samples.push[:, None]
+    xp = v.__array_namespace__()
+    rest, linear = needs.rest + xp.sign(v) * needs.dry, needs.damping * v
     square, most = needs.push * a + needs.speed * v**2, 0.0
     for sign in (-1, 1):
         left, slope, bend = sign * rest - limits.torque, sign * linear, sign * square
-        if (left >= 0).any():
-            return np.inf
         # The first positive root of left + slope m + bend m^2, m = 1 / f.
         under = slope**2 - 4 * bend * left
-        by = slope + np.sqrt(np.maximum(under, 0.0))
-        f = np.where((under >= 0) & (by > 0), by / (-2 * left), 0.0)
-        most = max(most, float(f.max()))
+        by = slope + xp.sqrt(xp.maximum(under, 0.0))
+        f = xp.where((under >= 0) & (by > 0), by / (-2 * xp.minimum(left, -1e-300)), 0.0)
+        f = xp.where(left >= 0, xp.inf, f)
+        most = xp.maximum(most, xp.max(xp.where(samples.exists[:, None], f, 0.0)))
     return most
 
 
-def _needs(robot: Robot, curve: Curve, at: np.ndarray) -> _Needs:
-    """Torques at grid indices `[P]`, by MuJoCo's inverse dynamics."""
-    place = places(curve, at)
-    still, model = np.zeros_like(place.q), robot.mj_model
-    dry, damping = model.dof_frictionloss * np.sign(place.slope), model.dof_damping * place.slope
-    rest = inverse_dynamics_by_mujoco(robot, place.q, still, still)
-    push = inverse_dynamics_by_mujoco(robot, place.q, still, place.slope)
-    speed = inverse_dynamics_by_mujoco(robot, place.q, place.slope, place.bend)
-    return _Needs(rest, push - rest, speed - rest - dry - damping, damping, dry)
+def _exact_factors(
+    robot: Robot, limits: Limits, curves: list[Curve], found: list[_Slower], clock: Clock
+) -> list[float]:
+    """By how much motions have to be slowed down once more, torques being what they are, not what
+    they are between points of the grid; inf where that, or what was before, is in vain."""
+    factors = [1.0 if np.isfinite(slower.factor) else np.inf for slower in found]
+    if limits.torque is None or not found:
+        return factors
+    needs = needs_of(robot, curves, [slower.samples.at for slower in found], clock)
+    for i, (need, (_, samples, _)) in enumerate(zip(needs, found, strict=True)):
+        v, a = samples.speed[:, None], samples.push[:, None]
+        torques = need.rest + need.push * a + need.speed * v**2
+        torques += need.damping * v + np.sign(v) * need.dry
+        if (np.abs(torques) > limits.torque)[samples.exists].any():
+            factors[i] = max(factors[i], float(_torque_factor(limits, need, samples)))
+    return factors

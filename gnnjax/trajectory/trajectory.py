@@ -14,6 +14,7 @@ from gnnjax.clock import Clock
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene, inflated
+from gnnjax.trajectory.batches import over_curves
 from gnnjax.trajectory.clearance import clearances_of
 from gnnjax.trajectory.curve import Curve, make_curve, places, size_of, stray
 from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
@@ -124,8 +125,11 @@ def find_motions(
     smoothed = smooth_paths(robot, thick, checked, options.blend, proven=proven)
     curves = [make_curve(x.path, x.blends, size_of(x.path)) for x in smoothed]
     timings = _timed(robot, limits, curves, clock)
+    moving = [x.certified and int(t.failed_at) < 0 for x, t in zip(smoothed, timings, strict=True)]
+    profiles = limit_jerk(robot, limits, curves, timings, moving, clock)
     found = [
-        _trajectory(robot, limits, *each) for each in zip(smoothed, curves, timings, strict=True)
+        _trajectory(robot, limits, *each)
+        for each in zip(smoothed, curves, timings, profiles, strict=True)
     ]
     if options.clearance:
         kept = clearances_of(robot, scene, smoothed)
@@ -207,26 +211,11 @@ def _checked(robot: Robot, path: ArrayLike) -> np.ndarray:
 def _timed(robot: Robot, limits: Limits, curves: list[Curve], clock: Clock) -> list[Timing]:
     """The fastest motions along curves, which are of several sizes."""
     cache_compilations()
-    alone, together = _compiled(robot)
-    found: list[Any] = [None] * len(curves)
     if limits.jerk is None:  # the same program
         limits = limits._replace(jerk=np.full(robot.num_dof, np.inf))
     # Single precision loses what cancels where a row hardly depends on u.
-    with jax.enable_x64(True):
-        if jax.default_backend() == "cpu":  # whose caches hold the rows of one curve
-            found = [clock.call(alone, limits, curve) for curve in curves]
-        else:
-            for size in {len(curve.grid) for curve in curves}:
-                rows = [i for i, curve in enumerate(curves) if len(curve.grid) == size]
-                padded = 1
-                while padded < len(rows):  # so that few numbers are compiled
-                    padded *= 2
-                own = [curves[i] for i in rows + rows[:1] * (padded - len(rows))]
-                stacked = jax.tree.map(lambda *x: np.stack(x), *own)
-                timings = clock.call(together, limits, stacked)
-                for number, i in enumerate(rows):
-                    found[i] = jax.tree.map(lambda x, n=number: x[n], timings)
-    return jax.tree.map(np.asarray, found)
+    sizes = [len(curve.grid) for curve in curves]
+    return over_curves(*_compiled(robot), limits, curves, sizes, clock)
 
 
 @functools.cache
@@ -237,15 +226,19 @@ def _compiled(robot: Robot) -> tuple[Callable, Callable]:
 
 
 def _trajectory(
-    robot: Robot, limits: Limits, smooth: Smoothed, curve: Curve, timing: Timing
+    robot: Robot,
+    limits: Limits,
+    smooth: Smoothed,
+    curve: Curve,
+    timing: Timing,
+    profile: Profile | None,
 ) -> Trajectory:
-    reason, duration, profile = "", float(timing.times[-1]), None
+    reason, duration = "", float(timing.times[-1])
     if not smooth.certified:
         reason = "the path is not certified free of collisions; plan another one"
     elif timing.failed_at >= 0:
         reason = _reason(robot, limits, curve, int(timing.failed_at))
     elif limits.jerk is not None:
-        profile = limit_jerk(robot, limits, curve, timing)
         if profile is None:
             weakest = _reason(robot, limits, curve, *range(len(curve.grid)))
             reason = f"slow enough for the limits of jerk, {weakest}"
