@@ -35,7 +35,7 @@ def test_files_that_the_texts_name_exist():
 
 # Imports go down this list only.
 ORDER = """
-interruption errors files devices clock
+interruption errors per_object files devices clock
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
