@@ -1,8 +1,10 @@
 """The default planner end to end: what it finds, laws, and bad input."""
 
 import dataclasses
+import gc
 import itertools
 import json
+import weakref
 from pathlib import Path
 
 import jax
@@ -124,6 +126,17 @@ def test_paths_are_certified_and_counts_add_up(robot, problems, plans):
         if plan.success:
             check_path(robot, one(problems, i), plan)
             assert plan.edge_checks >= 1
+
+
+def test_a_planner_that_nobody_holds_is_freed_with_all_that_it_compiled(robot, network, problems):
+    planner = make(robot, network)
+    planner.plan_batch(jax.tree.map(lambda x: x[:8], problems))
+    kept = [planner, planner.strategy, planner._tester(True), planner.strategy.judge]
+    names = [type(x).__name__ for x in kept]
+    kept = [weakref.ref(x) for x in kept]
+    del planner
+    gc.collect()
+    assert [name for name, ref in zip(names, kept, strict=True) if ref() is not None] == []
 
 
 def test_where_there_is_no_path_it_says_so(plans):

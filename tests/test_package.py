@@ -35,7 +35,7 @@ def test_files_that_the_texts_name_exist():
 
 # Imports go down this list only.
 ORDER = """
-interruption errors files devices clock roll_call cluster
+interruption errors per_object files devices clock roll_call cluster
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
@@ -55,8 +55,8 @@ problems.problem problems.file problems.shards problems.camera
 problems.structures problems.shelves problems.furniture problems.clutter problems.families
 problems.family_problem problems.labelled problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
-trajectory.clearance trajectory.timing trajectory.batches trajectory.jerk trajectory.trajectory
-trajectory.files
+trajectory.clearance trajectory.timing trajectory.batches trajectory.needs trajectory.jerk
+trajectory.trajectory trajectory.files
 planning.options planning.query planning.goals planning.motions planning.progress
 planning.strategy planning.walks planning.guided planning.pool planning.shortening
 planning.shortcuts planning.trees

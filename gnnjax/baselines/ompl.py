@@ -21,6 +21,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.baselines.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.collision.certify import certify_path
 from gnnjax.errors import InputError
+from gnnjax.per_object import per_object
 from gnnjax.planning.options import PlannerOptions, check_options
 from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
@@ -158,7 +159,7 @@ class ClassicalPlanner:
         holds = all(itertools.starmap(setting.join, itertools.pairwise(states)))
         return simplified if holds and not ledger.cut_off else path
 
-    @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
+    @per_object(functools.cache)
     def _checks_maker(self, axis_aligned: bool, max_boxes: int) -> Callable:
         """`(scene, ledger) -> (is_valid, test_edge)`, compiled for one padding of the scene."""
         if self.options.checker == "mujoco":

@@ -13,6 +13,7 @@ from gnnjax.collision.checker import Checker
 from gnnjax.devices import map_first
 from gnnjax.errors import InputError
 from gnnjax.guide.guide import RISK_WEIGHT, Guide
+from gnnjax.per_object import per_object
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius
@@ -125,7 +126,7 @@ class Guided:
             return clock.call(self._first, *own, problems, straight, count)
         return clock.call(self._later, *own, offsets, problems, straight, count)
 
-    @functools.lru_cache(maxsize=32)  # noqa: B019 - a strategy lives as long as its roadmaps
+    @per_object(functools.lru_cache(maxsize=32))
     def _stored(self, seed: int, number: int) -> tuple[Roadmap, Any, jax.Array]:
         size = self._sizes[min(number, 1)]
         stored = stored_roadmap(self.robot, size - 2, seed * _ROADMAPS_A_SEED + number)
@@ -134,7 +135,7 @@ class Guided:
         offsets = jax.block_until_ready(_local_offsets(key, self.robot.num_dof))
         return stored, None if tabulate is None else tabulate(stored), offsets
 
-    @functools.partial(jax.jit, static_argnums=(0, 6))
+    @per_object(functools.partial(jax.jit, static_argnums=5))
     def _sampled(self, weights, key, problems: Problem, straight, num, checker: Checker) -> Entered:
         """Roadmaps of nodes that are tested, like those of other planners."""
 
@@ -157,7 +158,7 @@ class Guided:
         priced = self._priced(roadmaps, price, straight, judged=True, nodes_checked=True)
         return Entered(priced, readings, checks)
 
-    @functools.partial(jax.jit, static_argnums=0)
+    @per_object(jax.jit)
     def _first(self, weights, stored, table, problems: Problem, straight, num) -> Entered:
         guide = self.guide
 
@@ -198,7 +199,7 @@ class Guided:
         priced = self._priced(roadmaps, price, straight, judged=guide.stored is not None)
         return Entered(priced, readings, jnp.zeros(len(price), jnp.int32))
 
-    @functools.partial(jax.jit, static_argnums=0)
+    @per_object(jax.jit)
     def _later(self, weights, stored, table, offsets, problems: Problem, straight, num) -> Entered:
         guide = self.guide
         limits = self.robot.joint_lower, self.robot.joint_upper
@@ -267,7 +268,7 @@ class Guided:
         # On checked nodes searches are compared, so that all of them need all edges.
         return priced if nodes_checked else jax.vmap(lambda x: keep_cheapest(x, _SLOTS))(priced)
 
-    @functools.partial(jax.jit, static_argnums=0)
+    @per_object(jax.jit)
     def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
         """Prices of motions `[B E]`."""
 
@@ -278,7 +279,7 @@ class Guided:
 
         return map_first(one, num, (readings, starts, ends))
 
-    @functools.partial(jax.jit, static_argnums=0)
+    @per_object(jax.jit)
     def shortcuts(self, weights, readings, lines: jax.Array, num) -> tuple[jax.Array, jax.Array]:
         """Points `[B V D]` of paths `[B N D]` that are shortened in the guide's eyes, and prices
         `[B V V]` of the motions between them, rad."""

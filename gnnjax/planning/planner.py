@@ -17,6 +17,7 @@ from gnnjax.collision.margins import proven_clearance
 from gnnjax.collision.sequences import SequenceTester
 from gnnjax.devices import Share, shares_of, side_by_side
 from gnnjax.errors import InputError, check_seed
+from gnnjax.per_object import per_object
 from gnnjax.planning.engine import Run
 from gnnjax.planning.goals import find_goals, plan_to_cheapest
 from gnnjax.planning.guided import Guided
@@ -196,7 +197,7 @@ class GuidedPlanner(Planner):
         tester = self._tester(axis_aligned)
         return Run(self.robot, self.strategy, self.options, tester, problems, seed, pool, shares)
 
-    @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
+    @per_object(functools.cache)
     def _tester(self, axis_aligned: bool) -> SequenceTester:
         options = self.options
         checker = make_checker(
@@ -222,6 +223,6 @@ class WalkPlanner(Planner):
         compiled = self._compiled(is_axis_aligned(problems.scene))
         return Walks(self.robot, self.strategy, self.options, compiled, problems, seed)
 
-    @functools.cache  # noqa: B019 - a planner lives as long as its compiled functions
+    @per_object(functools.cache)
     def _compiled(self, axis_aligned: bool) -> Compiled:
         return compile_strategy(self.robot, self.strategy, self.options, axis_aligned)

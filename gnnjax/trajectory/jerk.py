@@ -17,9 +17,8 @@ A stretch is all of its curve's grid, whose other intervals take no time, so tha
 shapes to compile.
 """
 
-import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -31,13 +30,12 @@ from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
 from gnnjax.trajectory.batches import over_curves
 from gnnjax.trajectory.curve import Curve, places, thirds
-from gnnjax.trajectory.dynamics import PathDynamics, path_dynamics
 from gnnjax.trajectory.limits import Limits
+from gnnjax.trajectory.needs import Needs, needs_of
 from gnnjax.trajectory.timing import Timing
 
 _PARTS = np.linspace(0, 1, 5)  # of a piece, at which limits are compared
 _WINDOWS = 2.0 ** np.arange(-5, 1.6, 0.5)  # that are tried, shares of one that surely suffices
-_ROWS = 1024  # places whose dynamics are computed at once
 
 
 class Profile(NamedTuple):
@@ -66,22 +64,12 @@ class Profile(NamedTuple):
         return Profile(*(x / factor**n for x, n in zip(self, powers, strict=True)))
 
 
-class _Needs(NamedTuple):
-    """Torques at P places of a curve, N m or N."""
-
-    rest: Float[Array | np.ndarray, "*batch P D"]
-    push: Float[Array | np.ndarray, "*batch P D"]  # of each unit/s^2
-    speed: Float[Array | np.ndarray, "*batch P D"]  # of each unit^2/s^2
-    damping: Float[Array | np.ndarray, "*batch P D"]  # of each unit/s
-    dry: Float[Array | np.ndarray, "*batch P D"]  # while it moves
-
-
 class _Stretch(NamedTuple):
     """What is between two stops."""
 
     curve: Curve
     timing: Timing
-    needs: _Needs | None  # at all halves of intervals; None: torques have no limits
+    needs: Needs | None  # at all halves of intervals; None: torques have no limits
     first: int  # grid point of the stop before it
     last: int  # of that behind it
 
@@ -109,27 +97,38 @@ def limit_jerk(
     limits: Limits,
     curves: Sequence[Curve],
     timings: Sequence[Timing],
+    wanted: Sequence[bool],
     clock: Clock,
 ) -> list[Profile | None]:
-    """Motions along curves within all limits, jerk included, from the fastest ones without; None
-    where slowing down does not bring one there: torques do not suffice to be slow."""
-    needs: Sequence[_Needs | None] = [None] * len(curves)
+    """Motions along curves within all limits, jerk included, from the fastest ones without.
+
+    None where one is not wanted, or jerk has no limits; and where slowing down does not bring it
+    there: torques do not suffice to be slow.
+    """
+    found: list[Profile | None] = [None] * len(curves)
+    chosen = [] if limits.jerk is None else np.flatnonzero(wanted).tolist()
+    if not chosen:
+        return found
+    needs: list[Needs | None] = [None] * len(chosen)
     if limits.torque is not None:
-        halves = [np.arange(2 * len(curve.grid) - 1) / 2 for curve in curves]
-        needs = _needs(robot, curves, halves, clock)
+        halves = [np.arange(2 * len(curves[i].grid) - 1) / 2 for i in chosen]
+        needs = [*needs_of(robot, [curves[i] for i in chosen], halves, clock)]
     owners, stretches = [], []
-    for owner, curve in enumerate(curves):
+    for i, need in zip(chosen, needs, strict=True):
+        curve = curves[i]
         for first, last in itertools.pairwise(np.flatnonzero(curve.stops).tolist()):
             if curve.grid[last] > curve.grid[first]:
-                owners.append(owner)
-                stretches.append(_Stretch(curve, timings[owner], needs[owner], first, last))
+                owners.append(i)
+                stretches.append(_Stretch(curve, timings[i], need, first, last))
     sizes = [len(each.curve.grid) for each in stretches]
-    found = over_curves(_alone, _together, limits, stretches, sizes, clock)
-    parts: list[list[Profile | None]] = [[] for _ in curves]
-    factors = _exact_factors(robot, limits, [each.curve for each in stretches], found, clock)
-    for owner, slower, factor in zip(owners, found, factors, strict=True):
-        parts[owner].append(slower.profile.slowed(factor) if np.isfinite(factor) else None)
-    return [_joined(own) for own in parts]
+    slower = over_curves(_alone, _together, limits, stretches, sizes, clock)
+    parts: dict[int, list[Profile | None]] = {i: [] for i in chosen}
+    factors = _exact_factors(robot, limits, [each.curve for each in stretches], slower, clock)
+    for i, each, factor in zip(owners, slower, factors, strict=True):
+        parts[i].append(each.profile.slowed(factor) if np.isfinite(factor) else None)
+    for i in chosen:
+        found[i] = _joined(parts[i])
+    return found
 
 
 def _joined(parts: Sequence[Profile | None]) -> Profile | None:
@@ -139,7 +138,7 @@ def _joined(parts: Sequence[Profile | None]) -> Profile | None:
     whole = [part for part in parts if part is not None]
     if len(whole) < len(parts):
         return None
-    starts = np.cumsum([0.0, *(part.times[-1] for part in whole)])
+    starts = np.cumsum([0.0, *(float(part.times[-1]) for part in whole)])
     left = [np.diff(part.times) > 0 for part in whole]
     times = [
         part.times[:-1][some] + start
@@ -155,6 +154,7 @@ def _joined(parts: Sequence[Profile | None]) -> Profile | None:
 def _slower(limits: Limits, stretch: _Stretch) -> _Slower:
     """The motion along one stretch; torques are read between points of the grid."""
     curve, timing, needs, first, last = stretch
+    assert limits.jerk is not None
     begin = timing.times[first]
     length = timing.times[last] - begin
     times = jnp.clip(timing.times - begin, 0.0, length)
@@ -237,9 +237,10 @@ def _samples(curve: Curve, profile: Profile, first: jax.Array, last: jax.Array) 
     return _Samples(at, jnp.maximum(speed, 0.0), push, profile.jerk[piece], steps[piece] > 0)
 
 
-def _factor(limits: Limits, curve: Curve, needs: _Needs | None, samples: _Samples) -> jax.Array:
+def _factor(limits: Limits, curve: Curve, needs: Needs | None, samples: _Samples) -> jax.Array:
     """By how much a motion has to be slowed down for all limits to hold; inf where that is in
     vain."""
+    assert limits.jerk is not None
     at, exists = samples.at, samples.exists[:, None]
     place = places(curve, at)
     v, a, j = (x[:, None] for x in samples[1:4])
@@ -258,11 +259,11 @@ def _factor(limits: Limits, curve: Curve, needs: _Needs | None, samples: _Sample
     near = jnp.clip(2 * at, 0, len(needs.rest) - 1)
     low = jnp.minimum(near.astype(int), len(needs.rest) - 2)
     share = (near - low)[:, None]
-    between = _Needs(*((1 - share) * x[low] + share * x[low + 1] for x in needs))
+    between = Needs(*((1 - share) * x[low] + share * x[low + 1] for x in needs))
     return jnp.maximum(factor, _torque_factor(limits, between, samples))
 
 
-def _torque_factor(limits: Limits, needs: _Needs, samples: _Samples) -> jax.Array:
+def _torque_factor(limits: Limits, needs: Needs, samples: _Samples) -> jax.Array | np.floating:
     """The least f >= 0 from which on torques, `rest + linear / f + square / f^2`, keep limits."""
     v, a = samples.speed[:, None], samples.push[:, None]
     xp = v.__array_namespace__()
@@ -280,52 +281,18 @@ def _torque_factor(limits: Limits, needs: _Needs, samples: _Samples) -> jax.Arra
 
 
 def _exact_factors(
-    robot: Robot,
-    limits: Limits,
-    curves: Sequence[Curve],
-    found: Sequence[_Slower],
-    clock: Clock,
+    robot: Robot, limits: Limits, curves: list[Curve], found: list[_Slower], clock: Clock
 ) -> list[float]:
     """By how much motions have to be slowed down once more, torques being what they are, not what
-    they are read to be between points of the grid; inf where that, or what was before, is in
-    vain."""
+    they are between points of the grid; inf where that, or what was before, is in vain."""
+    factors = [1.0 if np.isfinite(slower.factor) else np.inf for slower in found]
     if limits.torque is None or not found:
-        return [1.0] * len(found)
-    factors = []
-    needs = _needs(robot, curves, [slower.samples.at for slower in found], clock)
-    for slower, need in zip(found, needs, strict=True):
-        v, a = slower.samples.speed[:, None], slower.samples.push[:, None]
-        moving = need.push * a + need.speed * v**2 + need.damping * v + np.sign(v) * need.dry
-        over = np.abs(need.rest + moving) > limits.torque
-        factor = float(slower.factor)
-        if np.isfinite(factor):
-            factor = 1.0
-            if over[slower.samples.exists].any():
-                factor = max(1.0, float(_torque_factor(limits, need, slower.samples)))
-        factors.append(factor)
+        return factors
+    needs = needs_of(robot, curves, [slower.samples.at for slower in found], clock)
+    for i, (need, (_, samples, _)) in enumerate(zip(needs, found, strict=True)):
+        v, a = samples.speed[:, None], samples.push[:, None]
+        torques = need.rest + need.push * a + need.speed * v**2
+        torques += need.damping * v + np.sign(v) * need.dry
+        if (np.abs(torques) > limits.torque)[samples.exists].any():
+            factors[i] = max(factors[i], float(_torque_factor(limits, need, samples)))
     return factors
-
-
-def _needs(
-    robot: Robot, curves: Sequence[Curve], at: Sequence[np.ndarray], clock: Clock
-) -> list[_Needs]:
-    """Torques at grid indices `[P]` of curves."""
-    found = [places(curve, own) for curve, own in zip(curves, at, strict=True)]
-    place = [np.concatenate(x) for x in zip(*found, strict=True)]
-    run, parts = _dynamics(robot), []
-    with jax.enable_x64(True):
-        for first in range(0, len(place[0]), _ROWS):
-            rows = np.minimum(first + np.arange(_ROWS), len(place[0]) - 1)
-            parts.append(clock.call(run, *(x[rows] for x in place)))
-    joined = (np.concatenate(x)[: len(place[0])] for x in zip(*parts, strict=True))
-    all_of = PathDynamics(*joined)
-    dry = robot.mj_model.dof_frictionloss * np.sign(place[1])
-    needs = all_of.rest, all_of.inertia, all_of.speed, all_of.damping, dry
-    cuts = np.cumsum([len(own) for own in at])[:-1]
-    return [_Needs(*own) for own in zip(*(np.split(x, cuts) for x in needs), strict=True)]
-
-
-@functools.cache
-def _dynamics(robot: Robot) -> Callable[..., PathDynamics]:
-    """`path_dynamics` of `_ROWS` places."""
-    return jax.jit(functools.partial(path_dynamics, robot))

@@ -125,7 +125,8 @@ def find_motions(
     smoothed = smooth_paths(robot, thick, checked, options.blend, proven=proven)
     curves = [make_curve(x.path, x.blends, size_of(x.path)) for x in smoothed]
     timings = _timed(robot, limits, curves, clock)
-    profiles = _with_limited_jerk(robot, limits, smoothed, curves, timings, clock)
+    moving = [x.certified and int(t.failed_at) < 0 for x, t in zip(smoothed, timings, strict=True)]
+    profiles = limit_jerk(robot, limits, curves, timings, moving, clock)
     found = [
         _trajectory(robot, limits, *each)
         for each in zip(smoothed, curves, timings, profiles, strict=True)
@@ -215,26 +216,6 @@ def _timed(robot: Robot, limits: Limits, curves: list[Curve], clock: Clock) -> l
     # Single precision loses what cancels where a row hardly depends on u.
     sizes = [len(curve.grid) for curve in curves]
     return over_curves(*_compiled(robot), limits, curves, sizes, clock)
-
-
-def _with_limited_jerk(
-    robot: Robot,
-    limits: Limits,
-    smoothed: list[Smoothed],
-    curves: list[Curve],
-    timings: list[Timing],
-    clock: Clock,
-) -> list[Profile | None]:
-    """Motions with limited jerk, where that is limited, and where there are any."""
-    found: list[Profile | None] = [None] * len(curves)
-    if limits.jerk is not None:
-        moving = [
-            i for i, x in enumerate(smoothed) if x.certified and int(timings[i].failed_at) < 0
-        ]
-        own = ([x[i] for i in moving] for x in (curves, timings))
-        for i, profile in zip(moving, limit_jerk(robot, limits, *own, clock), strict=True):
-            found[i] = profile
-    return found
 
 
 @functools.cache
