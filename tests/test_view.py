@@ -1,6 +1,7 @@
 """The viewer's page: what is sent to browsers, and a browser that shows it."""
 
 import contextlib
+import itertools
 import shutil
 import socket
 import sys
@@ -244,9 +245,14 @@ def test_a_browser_shows_the_page_edits_it_and_may_go_while_it_drags(page, brows
     x, y = pixel(client, arrow)
     tab.mouse.move(x, y)
     tab.mouse.down()
-    for step in range(1, 4):
-        tab.mouse.move(x - 6 * step, y - 2 * step)
-    wait_for(lambda: not np.array_equal(session.end("start"), before))
+    steps = itertools.count(1)
+
+    def drag():  # until it is seen, however slowly the browser draws
+        step = next(steps) % 20
+        tab.mouse.move(x - 3 * step, y - step)
+        return not np.array_equal(session.end("start"), before)
+
+    wait_for(drag)
     assert start.dragged
     # The browser goes in mid-drag, and the server goes on.
     tab.close()
