@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.texts import PAGES, ROOT, blocks_of, commands_of, is_slow
+from tests.texts import PAGES, ROOT, blocks_of, commands_of, is_slow, run_command
 
 PAGE = """
 ```python
@@ -36,6 +36,14 @@ def test_commands_are_the_lines_that_call_a_module():
     ]
     assert not is_slow(found[0])
     assert is_slow(["gnnjax.train_motion", "--robots", "arm.xml"])
+
+
+def test_options_of_slow_commands_are_read_and_no_more(tmp_path, capsys):
+    run_command(["gnnjax.train_motion", "--out", str(tmp_path / "run")])
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(SystemExit):
+        run_command(["gnnjax.train_motion", "--no-such-option", "1"])
+    assert "no-such-option" in capsys.readouterr().err
 
 
 def anchors_of(text):

@@ -34,9 +34,11 @@ os.environ.setdefault(
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 import numpy as np
+import tyro
 
 import gnnjax
 
+_REAL_CLI = tyro.cli  # which `run_command` replaces
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -49,6 +51,7 @@ SMALL = {
 LEAVING = {"gnnjax.plan": "--trajectory motion.npz"}
 # What compiles for longer even so, by how it begins; its options are parsed.
 SLOW = {
+    "gnnjax.generate --distributed": "tests/test_cluster.py starts several processes",
     "gnnjax.generate --split train": "tests/test_generate.py draws labelled problems",
     "gnnjax.generate --split test --family": "tests/test_families.py draws families",
     "gnnjax.train": "tests/test_train.py and tests/test_train_motion.py train",
@@ -107,7 +110,7 @@ def commands_of(code: str) -> list[list[str]]:
             words.pop(0)
         if len(words) > 2 and Path(words[0]).name == "python" and words[1] == "-m":
             if words[2].split(".")[0] in ("gnnjax", "experiments", "tests"):
-                calls.append(words[2:])
+                calls.append([word for word in words[2:] if word != "&"])
     return calls
 
 
@@ -194,7 +197,7 @@ def run_page(page: Path) -> list[str]:
                     for words in commands_of(block.code):
                         print("+", *words, flush=True)
                         run_command(words)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 traceback.print_exc()
                 failed.append(f"{where}: {type(error).__name__}: {error}")
             print(f"{where}: {time.process_time() - began:.1f} s of CPU time", flush=True)
@@ -209,8 +212,5 @@ def main(pages: list[Path]) -> int:
 
 
 if __name__ == "__main__":
-    import tyro
-
-    _REAL_CLI = tyro.cli
     os.environ.setdefault("COLUMNS", "100")
     sys.exit(main([Path(page).resolve() for page in sys.argv[1:]] or PAGES))
