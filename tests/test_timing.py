@@ -211,7 +211,7 @@ def test_durations_are_those_of_a_dense_search(free, number):
 def test_a_batch_is_what_its_paths_are_alone(free, monkeypatch, backend):
     limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES, jerk=60)
     limits = limits._asdict()
-    paths = random_paths(free, 12)
+    paths = random_paths(free, 6)
     assert {size_of(path) for path in paths} == {2, 4}
     alone = [time_path(free, NOTHING, path, **limits) for path in paths]
     monkeypatch.setattr("gnnjax.trajectory.trajectory.jax.default_backend", lambda: backend)
