@@ -1,9 +1,6 @@
-"""The notebooks run from top to bottom."""
+"""The quickstart runs from top to bottom; `.ci/run` runs the others, with `tests/notebooks.py`."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
@@ -11,12 +8,13 @@ import nbformat
 import pytest
 
 from gnnjax.arm.robot import assets_dir
+from tests.notebooks import executed
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 
 
 def sparing(folder):
-    """A cell that swaps the Kuka's hulls, whose kernels compile for a minute, for some spheres.
+    """Code that swaps the Kuka's hulls, whose kernels compile for a minute, for some spheres.
 
     `.ci/run` plans the README's query, which is nearly the notebook's, with the hulls.
     """
@@ -25,31 +23,28 @@ def sparing(folder):
     text, count = re.subn(r' mesh="link_\d"', ' type="sphere" size="0.08"', text)
     assert count == 8
     (folder / "kuka_iiwa14.xml").write_text(text)
-    return nbformat.v4.new_code_cell(
+    return (
         "import pathlib, gnnjax.arm.robot\n"
         f"gnnjax.arm.robot.assets_dir = lambda: pathlib.Path({str(folder)!r})"
     )
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_from_top_to_bottom(path, tmp_path):
-    notebook = nbformat.read(path, as_version=4)
-    installs = [cell for cell in notebook.cells if "%pip install" in cell.source]
-    assert len(installs) == 1
-    # The tests run in an environment in which it is installed.
-    notebook.cells[notebook.cells.index(installs[0])] = sparing(tmp_path)
-    copy = tmp_path / path.name
-    nbformat.write(notebook, copy)
-    command = [sys.executable, "-m", "nbconvert", "--to", "notebook", "--execute", "--stdout"]
+def test_the_quickstart_runs_from_top_to_bottom(tmp_path):
+    (path,) = [path for path in NOTEBOOKS if path.stem == "quickstart"]
     cache = {"JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir or ""}
-    done = subprocess.run(
-        [*command, str(copy)], capture_output=True, text=True, env=os.environ | cache, check=False
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    executed = nbformat.reads(done.stdout, as_version=4)
-    code = [cell for cell in executed.cells if cell.cell_type == "code"]
+    notebook = executed(path, sparing(tmp_path), tmp_path, cache)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert all(cell.execution_count for cell in code)
     outputs = [output for cell in code for output in cell.outputs]
     shown = "".join(o.get("text", "") + o.get("data", {}).get("text/plain", "") for o in outputs)
     assert "certified: True" in shown
     assert "lazysp, 200 nodes" in shown
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_kept_with_its_outputs_and_run_by_ci(path):
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
+    assert not [out for out in outputs if out["output_type"] == "error"]
+    assert path.stem == "quickstart" or path.stem in (path.parents[1] / ".ci/run").read_text()
