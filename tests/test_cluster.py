@@ -17,6 +17,8 @@ from gnnjax.generate import GenerateConfig, generate
 from gnnjax.train import PRESETS, train
 from gnnjax.training.weights import load_network
 
+pytestmark = pytest.mark.whole
+
 DEVICES = "--xla_force_host_platform_device_count=2"
 
 

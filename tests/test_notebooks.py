@@ -29,6 +29,7 @@ def sparing(folder):
     )
 
 
+@pytest.mark.whole
 def test_the_quickstart_runs_from_top_to_bottom(tmp_path):
     (path,) = [path for path in NOTEBOOKS if path.stem == "quickstart"]
     cache = {"JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir or ""}

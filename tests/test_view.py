@@ -201,6 +201,7 @@ def pixel(client, point):
     return camera.image_width / 2 + scale * x / z, camera.image_height / 2 + scale * y / z
 
 
+@pytest.mark.whole
 def test_a_browser_shows_the_page_edits_it_and_may_go_while_it_drags(page, browser, tmp_path):
     import imageio.v3  # which viser needs
 
