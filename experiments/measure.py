@@ -133,13 +133,16 @@ def _planner(settings: EvaluateConfig) -> Any:
     return make_planner(load_robot(settings.robot), settings)
 
 
+# Settings that file names tell in other ways, and those that change no row.
+_UNTOLD = "problems json planner num_nodes seed robot cluster keep_parts".split()
+
+
 def slug(case: EvaluateConfig) -> str:
     """A file name that differs where settings do."""
     default = {field.name: field.default for field in dataclasses.fields(EvaluateConfig)}
     parts = [case.problems.stem, case.planner.replace(":", "-"), str(case.num_nodes)]
     for name, value in dataclasses.asdict(case).items():
-        known = name in ("problems", "json", "planner", "num_nodes", "seed", "robot")
-        if not known and value != default[name]:
+        if name not in _UNTOLD and value != default[name]:
             text = str(value).replace("/", "-").strip("-.")
             parts.append(f"{name.replace('_', '-')}-{text}")
     return "_".join(parts)

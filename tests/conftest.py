@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jax
 import pytest
+from _pytest.unraisableexception import gc_collect_iterations_key
 from jax._src.api import clean_up
 from jaxtyping import _decorator
 
@@ -163,10 +164,9 @@ _LONG = (
 ).split()
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_sessionfinish():
-    """Leaves the freeing of all that was compiled to the system."""
-    gc.freeze()
+def pytest_configure(config):
+    """Leaves the freeing of all that was compiled to the end of the process."""
+    config.stash[gc_collect_iterations_key] = 0
     atexit.unregister(clean_up)
 
 

@@ -114,6 +114,7 @@ def test_every_check_is_counted_once(planner, problems, monkeypatch):
     assert twice > 0  # several roadmaps of a problem were in the pool
 
 
+@pytest.mark.whole
 def test_a_batch_is_shared_out_over_devices_and_comes_out_the_same(
     planner, problems, tiny_path, tmp_path, monkeypatch
 ):

@@ -5,7 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 
+
+@pytest.mark.whole
 def test_a_run_that_was_killed_anywhere_and_resumed_is_as_if_it_had_not_been():
     # In a process of its own, which forks and must not have used JAX.
     words = [sys.executable, "-m", "tests.kill_points", "--points", "3"]

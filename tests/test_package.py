@@ -66,7 +66,7 @@ training.weights training.checkpoint training.parallel training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
 measure.machine measure.rows measure.batches measure.result_files measure.statistics measure.table
-generate paper.losses train train_motion evaluate plot video query_options plan
+generate paper.losses train train_motion evaluate planner_arena plot video query_options plan
 plot_execution execute fit
 viewer.frames viewer.meshes viewer.worker viewer.answers viewer.session viewer.prices viewer.stage
 viewer.player viewer.ends viewer.obstacles viewer.saving viewer.downloads viewer.panel viewer.page

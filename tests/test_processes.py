@@ -71,6 +71,7 @@ def is_running(pid):
     return True
 
 
+@pytest.mark.whole
 def test_processes_end_with_whoever_started_them(tiny_path):
     code = f"""
 from gnnjax import PlannerProcesses, load_planner

@@ -148,6 +148,8 @@ def run_command(words: list[str]) -> None:
             words[at : at + 1] = value.split()
     module, *arguments = words
     said = io.StringIO()
+    # It was imported before by another one.
+    warnings.filterwarnings("ignore", "'gnnjax", RuntimeWarning)
     if is_slow(words):
         # What follows the parsing of the options is left out.
         stop = mock.patch("gnnjax.errors.run_command", lambda main, *_: main())
@@ -157,8 +159,6 @@ def run_command(words: list[str]) -> None:
         return
     arguments = LEAVING.get(module, "").split() + arguments + SMALL.get(module, "").split()
     with mock.patch.object(sys, "argv", [module, *arguments]), contextlib.redirect_stderr(said):
-        # It was imported before by another one.
-        warnings.filterwarnings("ignore", "'gnnjax", RuntimeWarning)
         try:
             runpy.run_module(module, run_name="__main__", alter_sys=True)
         except SystemExit as ended:

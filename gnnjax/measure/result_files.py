@@ -24,6 +24,32 @@ def write_results(path: Path, results: dict[str, Any]) -> None:
     atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
 
 
+def read_results(path: Path) -> dict[str, Any]:
+    """Finished results with their rows.
+
+    Raises:
+        InputError: another file, results that are not complete, or that have their rows elsewhere.
+    """
+    try:
+        results = json.loads(path.read_text(encoding="utf-8"))
+        version, complete, rows = (results[key] for key in ("format", "complete", "problems"))
+        if version == FORMAT:
+            _check_rows(rows, 0)
+    except FileNotFoundError:
+        raise InputError(f"no results {str(path)!r}; gnnjax.evaluate writes such") from None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise InputError(f"{str(path)!r} holds no results; gnnjax.evaluate writes such") from None
+    faults = {
+        "of another version": version != FORMAT,
+        "that were cut off": not complete,
+        "without rows": not rows,
+    }
+    for fault, found in faults.items():
+        if found:
+            raise InputError(f"{str(path)!r} holds results {fault}; run gnnjax.evaluate again")
+    return results
+
+
 def read_rows(
     path: Path, settings: dict[str, Any], defaults: dict[str, Any], first: int = 0
 ) -> list[dict]:

@@ -14,18 +14,23 @@ _VARIANTS = {
 }
 
 
-def print_summary(results: dict[str, Any]) -> None:
-    """Prints a summary as a table."""
-    settings, summary = results["settings"], results["summary"]
+def title_of(settings: dict[str, Any]) -> str:
+    """How a planner with some settings is called."""
     title = settings["planner"]
     if not title.startswith("ompl:"):
         title += f", {settings['num_nodes']} nodes"
     for name, (value, words) in _VARIANTS.items():
         if settings[name] == value:
             title += f", {words}"
+    return title
+
+
+def print_summary(results: dict[str, Any]) -> None:
+    """Prints a summary as a table."""
+    summary = results["summary"]
     table = Table(
         *("stratum", "solved", "certified", "edge\nchecks", "configuration\nchecks", "cost"),
-        title=title,
+        title=title_of(results["settings"]),
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         show_edge=False,
