@@ -48,4 +48,5 @@ def test_a_notebook_is_kept_with_its_outputs_and_run_by_ci(path):
     nbformat.validate(notebook)
     outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
     assert not [out for out in outputs if out["output_type"] == "error"]
+    assert any("image/png" in out.get("data", {}) for out in outputs)
     assert path.stem == "quickstart" or path.stem in (path.parents[1] / ".ci/run").read_text()
