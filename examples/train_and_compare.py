@@ -31,9 +31,9 @@ folder = Path(mkdtemp())
 robot = str(folder / "mine.xml")
 Path(robot).write_text(ARM, encoding="utf-8")
 
-sizes = {"steps": 60, "scenes": 4, "motions": 64, "channels": 16}  # too few for a good one
+sizes = {"steps": 30, "scenes": 4, "motions": 64, "channels": 16}  # too few for a good one
 train_motion(TrainMotionConfig(robots=(robot,), out=folder / "run", save_every=30, **sizes))
-problems = generate(GenerateConfig("test", robot=robot, num_problems=20, out=folder / "test.npz"))
+problems = generate(GenerateConfig("test", robot=robot, num_problems=10, out=folder / "test.npz"))
 for name, weights in (("field", None), ("network", folder / "run" / "weights.safetensors")):
     out = folder / f"{name}.json"
     config = EvaluateConfig(problems=problems, json=out, robot=robot, weights=weights)

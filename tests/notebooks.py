@@ -1,6 +1,6 @@
 """Runs notebooks as they are, but for their installation.
 
-STEPS=20 PROBLEMS=4 python -m tests.notebooks notebooks/paper.ipynb ...
+STEPS=3 PROBLEMS=4 python -m tests.notebooks notebooks/paper.ipynb ...
 """
 
 import os

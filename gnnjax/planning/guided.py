@@ -120,14 +120,16 @@ class Guided:
         if self.options.sampled:
             key = jax.random.fold_in(jax.random.key(seed), number)
             return clock.call(self._sampled, self.weights, key, problems, straight, count, checker)
-        stored, table, offsets = clock.remembered(self._stored, seed, number)
+        stored, table, offsets = clock.remembered(self.stored, seed, number)
         own = (self.weights, stored, table)
         if number == 0:
             return clock.call(self._first, *own, problems, straight, count)
         return clock.call(self._later, *own, offsets, problems, straight, count)
 
     @per_object(functools.lru_cache(maxsize=32))
-    def _stored(self, seed: int, number: int) -> tuple[Roadmap, Any, jax.Array]:
+    def stored(self, seed: int, number: int) -> tuple[Roadmap, Any, jax.Array]:
+        """The stored roadmap of an attempt, what the guide has tabulated of its edges, and where nodes
+        are added around the ends."""
         size = self._sizes[min(number, 1)]
         stored = stored_roadmap(self.robot, size - 2, seed * _ROADMAPS_A_SEED + number)
         tabulate = self.guide.tabulate

@@ -55,7 +55,7 @@ def make_pricer(planner: Planner, frames: Frames, seed: int) -> Callable[[Query]
         return roadmap, for_each_edge(roadmap, lambda a, b: motions(a, b, EDGE_PIECES))
 
     def price(query: Query) -> PricedRoadmap:
-        stored, _, _ = strategy._stored(seed, 0)
+        stored, _, _ = strategy.stored(seed, 0)
         found = priced(strategy.weights, stored, *query)
         roadmap, prices = jax.tree.map(np.asarray, found)
         node, slot = np.nonzero(
