@@ -128,8 +128,8 @@ class Guided:
 
     @per_object(functools.lru_cache(maxsize=32))
     def stored(self, seed: int, number: int) -> tuple[Roadmap, Any, jax.Array]:
-        """The stored roadmap of an attempt, what the guide has tabulated of its edges, and where nodes
-        are added around the ends."""
+        """The stored roadmap of an attempt, what the guide has tabulated of its edges, and where
+        nodes are added around the ends."""
         size = self._sizes[min(number, 1)]
         stored = stored_roadmap(self.robot, size - 2, seed * _ROADMAPS_A_SEED + number)
         tabulate = self.guide.tabulate
