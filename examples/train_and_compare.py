@@ -31,8 +31,8 @@ folder = Path(mkdtemp())
 robot = str(folder / "mine.xml")
 Path(robot).write_text(ARM, encoding="utf-8")
 
-sizes = {"steps": 30, "scenes": 4, "motions": 64, "channels": 16}  # too few for a good one
-train_motion(TrainMotionConfig(robots=(robot,), out=folder / "run", save_every=30, **sizes))
+sizes = {"steps": 10, "scenes": 8, "motions": 128}  # too few for a good one
+train_motion(TrainMotionConfig(robots=(robot,), out=folder / "run", save_every=10, **sizes))
 problems = generate(GenerateConfig("test", robot=robot, num_problems=10, out=folder / "test.npz"))
 for name, weights in (("field", None), ("network", folder / "run" / "weights.safetensors")):
     out = folder / f"{name}.json"
