@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.devices import cache_compilations, run_where_called
+from gnnjax.devices import cache_compilations, on_host, run_where_called
 from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide
@@ -61,6 +61,7 @@ def own_planner(
     return made
 
 
+@on_host()
 def make_planner(
     robot: Robot,
     options: PlannerOptions,

@@ -15,7 +15,7 @@ from gnnjax.collision.bounds import compile_certificates
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.margins import proven_clearance
 from gnnjax.collision.sequences import SequenceTester
-from gnnjax.devices import Share, shares_of, side_by_side
+from gnnjax.devices import Share, on_host, shares_of, side_by_side
 from gnnjax.errors import InputError, check_seed
 from gnnjax.per_object import per_object
 from gnnjax.planning.engine import Run
@@ -36,7 +36,8 @@ from gnnjax.trajectory.options import MotionOptions
 class Planner(abc.ABC):
     """Plans queries for one robot on roadmaps.
 
-    Compiles on the first query and keeps the result on disk; `warm_up` does so beforehand.
+    Compiles on the first query and keeps the result on disk; `warm_up` does so beforehand. Searches
+    make many small calls, and run on the host's cores also where JAX has an accelerator.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Planner(abc.ABC):
         """Of the first roadmap, configuration units."""
         return self.strategy.radius
 
+    @on_host()
     def use_weights(self, weights: Any) -> None:
         """Goes on with other weights of the same network; nothing is compiled again."""
         # Restored weights are bound to a device. So would be all that is computed with them, and
@@ -69,6 +71,7 @@ class Planner(abc.ABC):
         weights = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), weights)
         self.strategy = self.strategy.with_weights(weights)
 
+    @on_host()
     def plan(
         self,
         scene: Scene,
@@ -113,6 +116,7 @@ class Planner(abc.ABC):
         # What checking the query took belongs to it.
         return plan._replace(total_time_s=plan.total_time_s + checking)
 
+    @on_host()
     def plan_batch(
         self, problems: Problem, *, seed: int = 0, trajectory: bool | MotionOptions = False
     ) -> list[Plan]:
@@ -132,6 +136,7 @@ class Planner(abc.ABC):
         plans = self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
         return with_motions(self.robot, plans, problems.scene, motion, margin)
 
+    @on_host()
     def clearance(self, scene: Scene, plan: Plan) -> float:
         """The distance [m] from obstacles that is proven along the whole of a plan's path, up to
         0.25 m, to a millimetre; see `proven_clearance`. It takes ten certificates of the path.
@@ -184,6 +189,7 @@ class GuidedPlanner(Planner):
         axis_aligned = is_axis_aligned(problems.scene)
         return side_by_side(plan, shares)
 
+    @on_host()
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         # One after the other, or each would compile the same.
         for share in shares_of(batch_size):
@@ -216,6 +222,7 @@ class WalkPlanner(Planner):
         walks.most_roadmaps = most
         return walks.run()
 
+    @on_host()
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         self._walks(self._at_home(scene, batch_size), 0).warm_up()
 
