@@ -19,6 +19,7 @@ from gnnjax.arm.kinematics import body_frames, joint_terms, transform
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.guide.guide import Guide, Prices
+from gnnjax.kept import keep
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.field import Grid, cell_of, distance_field, make_grid
 
@@ -68,7 +69,7 @@ def _compiled_centers(robot: Robot) -> Callable[[np.ndarray], jax.Array]:
             [jnp.broadcast_to(x, len(q)) for b, c in points for x in transform(*frames[b], c)]
         ).reshape(-1, 3, len(q))
 
-    return jax.jit(centers)
+    return keep(centers)
 
 
 @functools.partial(jax.jit, static_argnums=0)

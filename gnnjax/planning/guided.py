@@ -13,6 +13,7 @@ from gnnjax.collision.checker import Checker
 from gnnjax.devices import map_first
 from gnnjax.errors import InputError
 from gnnjax.guide.guide import RISK_WEIGHT, Guide
+from gnnjax.kept import keep
 from gnnjax.per_object import per_object
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
@@ -160,7 +161,7 @@ class Guided:
         priced = self._priced(roadmaps, price, straight, judged=True, nodes_checked=True)
         return Entered(priced, readings, checks)
 
-    @per_object(jax.jit)
+    @per_object(keep)
     def _first(self, weights, stored, table, problems: Problem, straight, num) -> Entered:
         guide = self.guide
 
@@ -201,7 +202,7 @@ class Guided:
         priced = self._priced(roadmaps, price, straight, judged=guide.stored is not None)
         return Entered(priced, readings, jnp.zeros(len(price), jnp.int32))
 
-    @per_object(jax.jit)
+    @per_object(keep)
     def _later(self, weights, stored, table, offsets, problems: Problem, straight, num) -> Entered:
         guide = self.guide
         limits = self.robot.joint_lower, self.robot.joint_upper
@@ -270,7 +271,7 @@ class Guided:
         # On checked nodes searches are compared, so that all of them need all edges.
         return priced if nodes_checked else jax.vmap(lambda x: keep_cheapest(x, _SLOTS))(priced)
 
-    @per_object(jax.jit)
+    @per_object(keep)
     def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
         """Prices of motions `[B E]`."""
 
@@ -281,7 +282,7 @@ class Guided:
 
         return map_first(one, num, (readings, starts, ends))
 
-    @per_object(jax.jit)
+    @per_object(keep)
     def shortcuts(self, weights, readings, lines: jax.Array, num) -> tuple[jax.Array, jax.Array]:
         """Points `[B V D]` of paths `[B N D]` that are shortened in the guide's eyes, and prices
         `[B V V]` of the motions between them, rad."""
