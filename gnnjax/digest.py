@@ -32,7 +32,15 @@ _PACKAGE = __name__.partition(".")[0]
 _FOLDER = Path(__file__).parent
 
 # What stands for itself by its name.
-_KNOWN = {"jax", "jaxlib", "numpy", "scipy", "mujoco", "jaxtyping", "ml_dtypes"} | sys.stdlib_module_names
+_KNOWN = {
+    "jax",
+    "jaxlib",
+    "numpy",
+    "scipy",
+    "mujoco",
+    "jaxtyping",
+    "ml_dtypes",
+} | sys.stdlib_module_names
 _JITTED = type(jax.jit(lambda: None))
 _WRAPPERS = (_JITTED, type(functools.cache(lambda: None)))
 _ENUMS = tuple(x for x in vars(mujoco).values() if hasattr(x, "__members__"))
@@ -140,13 +148,15 @@ class _Walk:
         raise Undigested(f"an object of {kind.__module__}.{kind.__qualname__}")
 
     def _array(self, value: Any) -> None:
-        weak = isinstance(value, jax.Array) and value.weak_type
-        if isinstance(value, jax.Array) and not isinstance(value.dtype, np.dtype):
-            raise Undigested(f"an array of {value.dtype}")
+        kind = type(value).__name__
+        if isinstance(value, jax.Array):
+            kind = f"jax {value.weak_type}"
+            if not isinstance(value.dtype, np.dtype):
+                raise Undigested(f"an array of {value.dtype}")
         value = np.asarray(value)
         if value.dtype.hasobject or value.dtype.fields:
             raise Undigested(f"an array of {value.dtype}")
-        self.note("array", f"{value.dtype.name}{value.dtype.str}{value.shape}{weak}".encode())
+        self.note("array", f"{kind} {value.dtype.name} {value.dtype.str} {value.shape}".encode())
         self.note("bytes", value.tobytes())
 
     def _function(self, value: types.FunctionType) -> None:

@@ -28,6 +28,7 @@ from jax.experimental import serialize_executable
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from gnnjax.digest import Undigested, digest
+from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, cache_folder
 from gnnjax.surroundings import SOURCES, keeps_code, machine, settings
 
@@ -48,8 +49,8 @@ class Kept:
     """A function, and what was compiled for each shape of its arguments."""
 
     def __init__(self, function: Callable, donate_argnums: tuple[int, ...] = ()):
-        functools.update_wrapper(self, function, updated=())
         self.function, self.donate_argnums = function, donate_argnums
+        self.name = getattr(function, "__qualname__", repr(function))
         self._jitted = jax.jit(function, donate_argnums=donate_argnums)
         self._found: dict[Any, Callable] = {}
 
@@ -91,7 +92,7 @@ class Kept:
             lowered = self._jitted.lower(*args)
             program = digest(lowered.as_text(), *where)
             if code is not None:
-                _check(named, program, self.__qualname__)
+                _check(named, program, self.name)
                 return code
             path = folder / f"{program}.code"
             code = _load(path)
@@ -103,7 +104,7 @@ class Kept:
                 _write(link, program.encode())
             return code
         except Undigested as reason:
-            _LOG.debug("%s is not kept, as it depends on %s", self.__qualname__, reason)
+            _LOG.debug("%s is not kept, as it depends on %s", self.name, reason)
             return self._jitted
 
 
@@ -199,7 +200,7 @@ def _write(path: Path, content: bytes | None) -> None:
     try:
         atomic_write(path, lambda part: part.write_bytes(_sealed(path.name, content) + content))
         _make_room(path.parent)
-    except OSError as error:
+    except (OSError, InputError) as error:
         _say_once(f"what was compiled is not kept: {error}")
 
 

@@ -29,7 +29,7 @@ _WORD = 32  # bits
 def hulls_of(robot: Robot) -> convex.Parts:
     """The arm's parts, with few vertices each, standing out by `SIMPLER` at most."""
     vertices, radii = _simpler(robot)
-    return convex.Parts(jnp.asarray(vertices), jnp.asarray(radii))
+    return jax.device_put(convex.Parts(vertices, radii))
 
 
 @functools.cache
@@ -62,8 +62,8 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
     """Makes the functions of an arm."""
     hulls = hulls_of(robot)
     # The world's frame comes last.
-    bodies = jnp.array([part.body for part in robot.parts])
-    couples = jnp.asarray(robot.part_pairs.T)
+    bodies = jax.device_put(np.array([part.body for part in robot.parts], np.int32))
+    couples = jax.device_put(robot.part_pairs.T.astype(np.int32))
     radii, part_of, pair_of = robot.geom_radii.tolist(), robot.geom_parts.tolist(), _pairs(robot)
 
     def touching(obstacle: Obstacle, q: Float[Array, "N D"]) -> UInt[Array, "W N"]:

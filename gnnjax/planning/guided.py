@@ -23,8 +23,8 @@ from gnnjax.roadmap.sampled import sample_roadmap
 from gnnjax.roadmap.stored import (
     NUM_LOCAL,
     add_local_nodes,
+    compiled_offsets,
     insert_ends,
-    local_offsets,
     stored_roadmap,
 )
 from gnnjax.scene.scene import without_meant
@@ -42,7 +42,6 @@ GIVE_UP = 4.0
 
 _SLOTS = 16  # edges that a search may leave a node by
 
-_local_offsets = jax.jit(local_offsets, static_argnums=1)
 _WIDE_NODES = (400, 600)
 _ROADMAPS_A_SEED = 1000  # seeds of stored roadmaps: of query seed s, from 1000 s on
 
@@ -134,8 +133,8 @@ class Guided:
         size = self._sizes[min(number, 1)]
         stored = stored_roadmap(self.robot, size - 2, seed * _ROADMAPS_A_SEED + number)
         tabulate = self.guide.tabulate
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        offsets = jax.block_until_ready(_local_offsets(key, self.robot.num_dof))
+        offsets = compiled_offsets(self.robot.num_dof)(np.uint32(seed), np.uint32(number))
+        offsets = jax.block_until_ready(offsets)
         return stored, None if tabulate is None else tabulate(stored), offsets
 
     @per_object(functools.partial(jax.jit, static_argnums=5))
