@@ -1,6 +1,7 @@
 """What compiled code depends on besides the program: the machine, libraries, and settings."""
 
 import functools
+import hashlib
 import os
 import platform
 import sys
@@ -15,7 +16,6 @@ import numpy as np
 import scipy
 
 from gnnjax.devices import num_cores
-from gnnjax.digest import sources_digest
 from gnnjax.files import cache_folder
 
 _DEBUGGING = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_enable_checks")
@@ -30,8 +30,17 @@ def _xla_environment() -> list[tuple[str, str]]:
     return sorted(x for x in os.environ.items() if x[0].startswith(("XLA_", "TF_")))
 
 
+def sources_digest(folder: Path) -> str:
+    """The digest of all Python files of a folder and those in it, with their names."""
+    found = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        text = path.read_bytes()
+        found.update(f"{path.relative_to(folder).as_posix()}:{len(text)}:".encode() + text)
+    return found.hexdigest()
+
+
 # As this process was started with. What is changed later, it may or may not have seen.
-SOURCES = sources_digest()
+SOURCES = sources_digest(Path(__file__).parent)
 _ENVIRONMENT = _xla_environment()
 
 

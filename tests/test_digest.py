@@ -9,11 +9,12 @@ import pytest
 
 from gnnjax.collision import exact
 from gnnjax.collision.checker import make_checker
-from gnnjax.digest import Undigested, digest, sources_digest
+from gnnjax.digest import Undigested, digest
 from gnnjax.guide.field import field_guide
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.scene.shapes import box
+from gnnjax.surroundings import sources_digest
 
 
 def first_level(robot, **how):
