@@ -118,6 +118,23 @@ def keep(function: Callable, donate_argnums: tuple[int, ...] = ()) -> Kept:
     return Kept(function, donate_argnums)
 
 
+def kept_result(function: Callable, *args: Any) -> Any:
+    """What a pure function on the host returns, such as NumPy arrays; kept like compiled code."""
+    try:
+        key = digest(function, SOURCES, machine(), args) if keeps_code() else None
+    except Undigested:
+        key = None
+    if key is None:
+        return function(*args)
+    path = cache_folder("code") / f"{key}.result"
+    content = _read(path)
+    if content is not None:
+        return pickle.loads(content)
+    result = function(*args)
+    _write(path, pickle.dumps(result))
+    return result
+
+
 def _kind(leaf: Any) -> Any:
     """Shape, type, and whether its type is weak; None for what is no array, or traced."""
     if isinstance(leaf, jax.Array):

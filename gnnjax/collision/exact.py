@@ -21,6 +21,7 @@ from gnnjax.arm.kinematics import WORLD, Frame, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.spheres import Obstacle, Passes, Placed
+from gnnjax.kept import kept_result
 
 SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
 _WORD = 32  # bits
@@ -36,7 +37,7 @@ def hulls_of(robot: Robot) -> convex.Parts:
 def _simpler(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Vertices `[T V 3]` and radii `[T]`; a second of work that kernels and certificates share."""
     simple = [
-        (p.vertices, 0.0) if len(p.vertices) <= 8 else simplify(p.vertices, SIMPLER)
+        (p.vertices, 0.0) if len(p.vertices) <= 8 else kept_result(simplify, p.vertices, SIMPLER)
         for p in robot.parts
     ]
     most = max(len(vertices) for vertices, _ in simple)
