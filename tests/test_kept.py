@@ -13,8 +13,9 @@ import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
 from gnnjax import devices, kept, surroundings
+from gnnjax.arm.hulls import simplify
 from gnnjax.files import cache_folder
-from gnnjax.kept import keep
+from gnnjax.kept import keep, kept_result
 from gnnjax.scene.field import Grid, cell_of
 
 GRID = Grid((0.0, 0.0, 0.0), 0.1, (4, 4, 4))
@@ -236,6 +237,22 @@ def test_the_files_that_were_not_read_for_longest_go_first(folder, monkeypatch):
     kept._write(folder / "3", bytes(1000))
     assert sorted(path.name for path in folder.iterdir()) == ["1", "3"]
     assert os.stat(folder / "1").st_mtime == pytest.approx(time.time(), abs=60)
+
+
+def test_what_a_function_returns_is_kept_by_what_it_is_given(folder, monkeypatch):
+    corners = np.random.default_rng(0).normal(size=(30, 3))
+    expected = simplify(corners, 0.5)
+    for _ in range(2):
+        found = kept_result(simplify, corners, 0.5)
+        assert found[0].tobytes() == expected[0].tobytes()
+        assert found[1] == expected[1]
+    assert len(list(folder.iterdir())) == 1
+    kept_result(simplify, np.nextafter(corners, 9), 0.5)
+    assert len(list(folder.iterdir())) == 2
+    monkeypatch.setattr("scipy.optimize.nnls", None)  # what computes it
+    assert kept_result(simplify, corners, 0.5)[1] == expected[1]
+    assert kept_result(lambda x: x + 1, 1) == 2  # of one's own it is not kept
+    assert len(list(folder.iterdir())) == 2
 
 
 QUERY = """
