@@ -93,8 +93,8 @@ class PublicNames(Directive):
     def run(self) -> list[nodes.Node]:
         wings: dict[str, list[str]] = {}
         tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
-        for node in tree.body:
-            if isinstance(node, ast.ImportFrom):
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gnnjax."):
                 wing = (node.module or "").split(".")[1]
                 wings.setdefault(wing, []).extend(alias.name for alias in node.names)
         lines = []

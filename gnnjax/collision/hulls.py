@@ -17,6 +17,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.exact import hulls_of
 from gnnjax.collision.obstacles import Obstacles, sum_of_squares
+from gnnjax.kept import keep
 
 _PAIRS_A_CALL = 128  # that planes are looked for at once; fixed, so that it is compiled once
 
@@ -28,8 +29,8 @@ class Hulls:
         self.radii = np.array([part.radius for part in robot.parts])
         self.vertices = [part.vertices for part in robot.parts]
         self._parts = hulls_of(robot)
-        self._to_obstacles = jax.jit(convex.separate_obstacles)
-        self._to_parts = jax.jit(convex.separate_parts)
+        self._to_obstacles = keep(convex.separate_obstacles)
+        self._to_parts = keep(convex.separate_parts)
 
     def compile(self) -> None:
         """Compiles what looks for planes."""

@@ -6,10 +6,10 @@ then of whole rows, and what is found for one point does not depend on its neigh
 """
 
 import functools
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.scene import Scene
@@ -94,8 +94,10 @@ class Obstacles:
 
 
 @functools.lru_cache(maxsize=64)
-def _tree(points: bytes, dtype: str) -> cKDTree:
+def _tree(points: bytes, dtype: str) -> Any:
     """A tree of points `[K, 3]`, which a path's certificates share with those to come."""
+    from scipy.spatial import cKDTree  # a fifth of a second, for clouds alone
+
     own = np.frombuffer(points, dtype).reshape(-1, 3)
     return cKDTree(own, balanced_tree=False, compact_nodes=False)
 

@@ -18,6 +18,7 @@ from gnnjax.clock import Clock
 from gnnjax.collision.checker import Checker, bisection_order, most_intervals
 from gnnjax.collision.exact import PartTests
 from gnnjax.collision.spheres import BLOCKED, ITSELF, OBSTACLE_BITS
+from gnnjax.kept import keep
 from gnnjax.scene.scene import Scene, without_points
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
@@ -67,9 +68,9 @@ class SequenceTester:
         """
         self.checker = checker
         levels = checker.levels
-        self._place = jax.jit(checker.place)
-        self._check = jax.jit(checker.check_each if levels is None else levels.first)
-        self._second = None if levels is None else PartTests(*map(jax.jit, levels.second))
+        self._place = keep(checker.place)
+        self._check = keep(checker.check_each if levels is None else levels.first)
+        self._second = None if levels is None else PartTests(*map(keep, levels.second))
         self._order = bisection_order(most_intervals(robot, resolution))
         self._resolution = resolution
         self.computed = 0  # configurations, with those that no sequential test would have needed

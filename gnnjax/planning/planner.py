@@ -6,7 +6,6 @@ import time
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -68,7 +67,7 @@ class Planner(abc.ABC):
         """Goes on with other weights of the same network; nothing is compiled again."""
         # Restored weights are bound to a device. So would be all that is computed with them, and
         # JAX would compile anew for what is bound and what is not.
-        weights = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), weights)
+        weights = jax.tree.map(lambda x: jax.device_put(np.asarray(x)), weights)
         self.strategy = self.strategy.with_weights(weights)
 
     @on_host()

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
@@ -252,6 +251,8 @@ def _depth_in_cloud(
     rotations = np.concatenate([np.asarray(found[1]), np.eye(3)[None]])[robot.geom_bodies]
     centers = positions + np.einsum("gij,gj->gi", rotations, robot.geom_centers)
     points = np.asarray(scene.cloud.points[: int(scene.cloud.num)], float)
+    from scipy.spatial import cKDTree  # a fifth of a second, for clouds alone
+
     away, _ = cKDTree(points).query(centers[chosen])
     depth = robot.geom_radii[chosen] + float(scene.cloud.radius) - away
     deepest = int(depth.argmax())
