@@ -167,7 +167,7 @@ def on_all_cores(function: Callable, args: Any) -> Any:
     cores = min(num, num_cores()) if on_cpu else 1
     size = -(-num // cores)
     # Compiled for one of few sizes; on a CPU, rows that do not count take no time.
-    room = 4 if on_cpu else size
+    room = 16 if on_cpu else size
     while room < size:
         room *= 4
 
