@@ -202,14 +202,17 @@ def on_all_cores(function: Callable, args: Any) -> Any:
     cores = min(num, num_cores()) if on_cpu else 1
     size = -(-num // cores)
     # Compiled for one of few sizes; on a CPU, rows that do not count take no time.
-    room = 4 if on_cpu else size
+    room = 16 if on_cpu else size
     while room < size:
         room *= 4
 
+    home = jax.config.jax_default_device  # which threads do not know
+
     def part(first: int, count: int) -> Any:
         rows = np.minimum(np.arange(first, first + room), num - 1)
-        found = function(count, jax.tree.map(lambda x: x[rows], args))
-        return jax.tree.map(lambda x: np.asarray(x)[:count], found)
+        with jax.default_device(home):
+            found = function(count, jax.tree.map(lambda x: x[rows], args))
+            return jax.tree.map(lambda x: np.asarray(x)[:count], found)
 
     if cores > 1:  # or each thread would compile it
         part(0, 0)
