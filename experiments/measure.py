@@ -134,7 +134,7 @@ def _planner(settings: EvaluateConfig) -> Any:
 
 
 # Settings that file names tell in other ways, and those that change no row.
-_UNTOLD = "problems json planner num_nodes seed robot cluster keep_parts".split()
+_UNTOLD = "problems json planner num_nodes seed robot cluster keep_parts figure beside".split()
 
 
 def slug(case: EvaluateConfig) -> str:

@@ -1,10 +1,11 @@
 """Errors that a person can act on, in one line."""
 
+import contextlib
 import dataclasses
 import errno
 import reprlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 import jax
@@ -57,6 +58,17 @@ def check_option_names(kind: type, options: dict[str, Any], of: str) -> None:
     unknown = sorted(options.keys() - set(known))
     if unknown:
         raise InputError(f"no option {unknown[0]!r} of {of}; there are {known}")
+
+
+@contextlib.contextmanager
+def needs_extra(what: str, extra: str) -> Iterator[None]:
+    """Imports within it that fail say which of the package's extras `what` needs."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(
+            f"{what} needs the {extra} extra ({error}); pip install 'gnnjax[{extra}]'"
+        ) from None
 
 
 def is_out_of_memory(error: Exception) -> bool:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.errors import InputError, run_command
+from gnnjax.errors import needs_extra, run_command
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.trajectory.execution import Execution, execute_trajectory, motion_clearance
@@ -64,13 +64,9 @@ def main(config: ExecuteConfig) -> int:
     scene = read_scene(config.scene, robot)
     draw = None
     if config.figure is not None:
-        try:
+        with needs_extra("--figure", "viz"):
             from gnnjax.plot import check_picture
             from gnnjax.plot_execution import draw_execution as draw
-        except ImportError as error:
-            raise InputError(
-                f"--figure needs the viz extra ({error}); pip install 'gnnjax[viz]'"
-            ) from None
         check_picture(config.figure)
     if config.video is not None:
         check_video(config.video)

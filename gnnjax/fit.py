@@ -17,7 +17,7 @@ from rich.table import Table
 
 from gnnjax.arm.covers import Rows, cover_file, save_cover
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.errors import InputError, run_command
+from gnnjax.errors import InputError, needs_extra, run_command
 from gnnjax.files import atomic_write, check_target
 
 _ROUNDING = 1e-5  # m by which saved spheres are larger: an MJCF has six digits
@@ -45,10 +45,8 @@ def fit(config: FitConfig) -> Robot:
             raise InputError(f"out is {str(config.out)!r}; its name must end in .xml, of an MJCF")
     draw_cover = None
     if config.picture is not None:
-        try:
+        with needs_extra("--picture", "viz"):
             from gnnjax.plot import check_picture, draw_cover
-        except ModuleNotFoundError:
-            raise InputError("picture needs matplotlib: pip install 'gnnjax[viz]'") from None
         check_picture(config.picture)
     robot = load_robot(config.robot)
     over = 1e3 * (robot.geom_radii - robot.geom_inner_radii)

@@ -109,15 +109,17 @@ def draw_cover(robot: Robot, out: str | Path) -> None:
     atomic_write(out, lambda file: figure.savefig(file, dpi=130))
 
 
-def check_picture(out: str | Path) -> None:
-    """Refuses a picture file that `draw_plan` could not write.
+def check_picture(out: str | Path) -> Path:
+    """Returns the path of a picture that can be written.
 
     Raises:
         InputError: a folder, or an ending that names no format.
     """
     known = sorted(FigureCanvasBase.get_supported_filetypes())
-    if check_target(out).suffix.lower().removeprefix(".") not in known:
+    path = check_target(out)
+    if path.suffix.lower().removeprefix(".") not in known:
         raise InputError(f"picture {str(out)!r} has no known ending; there are {known}")
+    return path
 
 
 def _part_faces(robot: Robot) -> list[tuple[int, np.ndarray]]:

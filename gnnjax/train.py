@@ -98,6 +98,8 @@ class TrainConfig:
     """Epochs between validations, which plan, and checkpoints."""
     validation_problems: int = 100
     """Problems to plan, drawn apart from all others; 0 to validate nothing."""
+    figure: Path | None = None
+    """Where a picture of the training curves goes, at each checkpoint (needs the viz extra)."""
     cluster: ConnectedCluster = UNCONNECTED
 
 
@@ -247,7 +249,7 @@ def _train(config: TrainConfig, mesh: Mesh | None) -> Path:
         validation = generate_labelled(robot, 0)(keys)
     graphdef, weights = nnx.split(network)
     optimizer = make_optimizer(config, num_steps)
-    step = make_step(graphdef, optimizer, robot, config, *([] if mesh is None else [mesh]))
+    step = make_step(graphdef, optimizer, robot, config, mesh)
     state = TrainState(weights, optimizer.init(weights))
 
     def one_step(state: TrainState, epoch: int, number: int):

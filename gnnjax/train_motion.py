@@ -71,6 +71,8 @@ class TrainMotionConfig:
     """See `MotionNetwork`."""
     save_every: int = 100
     """Steps between checkpoints and log records, which validate."""
+    figure: Path | None = None
+    """Where a picture of the training curves goes, at each checkpoint (needs the viz extra)."""
     cluster: ConnectedCluster = UNCONNECTED
 
 

@@ -13,7 +13,7 @@ import tyro
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief, run_command
+from gnnjax.errors import InputError, brief, needs_extra, run_command
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.pose.goal import PoseGoal
@@ -56,12 +56,8 @@ def open_page(config: ViewConfig):
     Raises:
         InputError: the view extra is missing, the port is taken, or a query that cannot be shown.
     """
-    try:
+    with needs_extra("gnnjax.view", "view"):
         from gnnjax.viewer.page import Page
-    except ImportError as error:
-        raise InputError(
-            f"gnnjax.view needs the view extra ({error}); pip install 'gnnjax[view]'"
-        ) from None
     _check_port(config.host, config.port)
     robot, query, pose = _read(config)
     return Page(own_planner(robot, config), query, pose, config)
