@@ -105,6 +105,7 @@ def _draw_quantity(
     values = np.array(drawn)
     if len(values) and values.min() > 0 and values.max() > _WIDE * values.min():
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
     else:
         axes.set_xlim(left=0)
 
