@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_command
@@ -281,7 +281,7 @@ def _ompl(config: EvaluateConfig) -> dict[str, str]:
 
 def main() -> None:
     """Evaluates what the command line asks for."""
-    config = tyro.cli(EvaluateConfig)
+    config = parse_arguments(EvaluateConfig)
     if results := evaluate(config):
         print_summary(results)
         print(f"wrote {config.json}" + (f" and {config.figure}" if config.figure else ""))

@@ -4,10 +4,10 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.scene.any_file import read_scene
@@ -112,4 +112,4 @@ def _mm(length: float) -> str:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(ExecuteConfig)))
+    run_command(lambda: main(parse_arguments(ExecuteConfig)))

@@ -8,6 +8,7 @@ for those who want to change them by hand, or plan without the exact shapes.
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.covers import Rows, cover_file, save_cover
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, needs_extra, run_command
@@ -27,7 +29,7 @@ _ROUNDING = 1e-5  # m by which saved spheres are larger: an MJCF has six digits
 class FitConfig:
     """Show and save the spheres that enclose an arm's links."""
 
-    robot: tyro.conf.Positional[str]
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ARM")]
     """Shipped robot, or path of an MJCF (.xml) or URDF (.urdf)."""
     out: Path | None = None
     """An MJCF (.xml) of the arm with these spheres as its collision geometry."""
@@ -126,7 +128,7 @@ def _keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def main() -> None:
-    fit(tyro.cli(FitConfig))
+    fit(parse_arguments(FitConfig))
 
 
 if __name__ == "__main__":

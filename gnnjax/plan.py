@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.load import own_planner
@@ -107,4 +108,4 @@ def main(config: PlanConfig) -> int:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(PlanConfig)))
+    run_command(lambda: main(parse_arguments(PlanConfig)))

@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import tyro
 from flax import nnx
 from jax.sharding import Mesh
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.devices import cache_compilations
@@ -308,9 +308,11 @@ def _check_config(config: TrainConfig) -> None:
 def parse() -> TrainConfig:
     """Reads the command line; `--preset` says what the other options start from."""
     parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument("--preset", choices=list(PRESETS), default="default")
-    preset = parser.parse_known_args()[0].preset
-    return tyro.cli(TrainConfig, default=PRESETS[preset])
+    parser.add_argument("--preset", nargs="?")
+    preset = parser.parse_known_args()[0].preset or "default"
+    if preset not in PRESETS:
+        raise InputError(f"no preset {preset!r}; there are {list(PRESETS)}")
+    return parse_arguments(TrainConfig, default=PRESETS[preset])
 
 
 def main() -> None:

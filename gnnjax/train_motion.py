@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import tyro
 from flax import nnx
 from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.collision.checker import make_checker
@@ -310,4 +310,4 @@ def _check_config(config: TrainMotionConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: train_motion(tyro.cli(TrainMotionConfig)) and None, AGAIN)
+    run_command(lambda: train_motion(parse_arguments(TrainMotionConfig)) and None, AGAIN)

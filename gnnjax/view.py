@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import tyro
 from numpy.typing import ArrayLike
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief, needs_extra, run_command
 from gnnjax.planning.load import own_planner
@@ -102,4 +102,4 @@ def _check_port(host: str, port: int) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(ViewConfig)))
+    run_command(lambda: main(parse_arguments(ViewConfig)))

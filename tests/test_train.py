@@ -337,9 +337,13 @@ def test_the_command_line_leaves_parts_out_and_keeps_the_preset(monkeypatch):
     assert config == dataclasses.replace(
         PRESETS["paper"], without=("gat", "path"), num_roadmaps=100, epochs=3
     )
-    monkeypatch.setattr("sys.argv", "train --without gru".split())
-    with pytest.raises(SystemExit):
-        parse()
+    for words, message in (
+        ("--without gru", "invalid choice 'gru' for argument '--without'"),
+        ("--preset papers", r"no preset 'papers'; there are \['default', 'paper', 'smoke'\]"),
+    ):
+        monkeypatch.setattr("sys.argv", ["train", *words.split()])
+        with pytest.raises(InputError, match=message):
+            parse()
 
 
 @pytest.mark.parametrize("name", ["adamw", "sgd"])

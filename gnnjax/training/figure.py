@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from gnnjax.files import atomic_write
 from gnnjax.plot import check_picture
@@ -13,7 +13,7 @@ from gnnjax.plot import check_picture
 _TITLES = {
     "loss": "training loss [nat]",
     "accuracy": "training: share that is told right",
-    "edge_auc": "validation: area under the curve of edges",
+    "edge_auc": "validation: edges, area under the curve",
     "validation_success": "validation: share of problems solved",
     "validation_edge_checks": "validation: edge checks",
     "validation_cost": "validation: cost of the path [rad]",
@@ -31,7 +31,7 @@ def draw_training(records: list[dict[str, Any]], unit: str, name: str, out: str 
         out: picture file; its ending chooses the format.
     """
     check_picture(out)
-    panels: dict[str, list[str]] = {}
+    panels: dict[str, list[str]] = {"loss": []}  # the first, whatever the order of records
     for quantity in dict.fromkeys(name for record in records for name in record):
         if quantity not in (unit, "seconds"):
             panels.setdefault(_panel(quantity), []).append(quantity)
@@ -46,6 +46,9 @@ def draw_training(records: list[dict[str, Any]], unit: str, name: str, out: str 
             axes.plot(at, values, marker="o" if few else None, markersize=3, label=quantity)
             if panel == "loss" and all(value > 0 for value in values):
                 axes.set_yscale("log")
+                axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+                axes.yaxis.set_major_formatter("{x:g}")
+                axes.yaxis.set_minor_formatter("")
         axes.set_title(_TITLES.get(panel, panel), fontsize=11)
         axes.set_xlabel(unit)
         axes.xaxis.set_major_locator(MaxNLocator("auto", integer=True))
