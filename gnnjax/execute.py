@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from gnnjax.arguments import parse_arguments
@@ -99,10 +100,13 @@ def main(config: ExecuteConfig) -> int:
 def _tell(robot: Robot, found: Execution) -> None:
     """Prints a summary."""
     uses = np.abs(found.trace.torques / found.trace.torque_limit).max(axis=0)
-    table = Table("joint", "largest error", "rms error", "torque, % of its limit")
+    units = escape("[rad or m]")
+    table = Table(
+        *("joint", f"largest error\n{units}", f"rms error\n{units}", "largest torque\n% of limit")
+    )
     for row in zip(robot.joint_names, found.max_error, found.rms_error, uses, strict=True):
         name, most, rms, use = row
-        table.add_row(name, f"{most:.5f}", f"{rms:.5f}", f"{100 * use:.1f}")
+        table.add_row(escape(name), f"{most:.5f}", f"{rms:.5f}", f"{100 * use:.1f}")
     Console().print(table)
     print(f"motion of {found.duration:.2f} s; the last link is off by up to {_mm(found.tip_error)}")
 

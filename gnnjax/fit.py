@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from gnnjax.arguments import parse_arguments
@@ -52,11 +53,13 @@ def fit(config: FitConfig) -> Robot:
         check_picture(config.picture)
     robot = load_robot(config.robot)
     over = 1e3 * (robot.geom_radii - robot.geom_inner_radii)
-    table = Table("part", "body", "spheres", "overshoot [mm]", title=f"{robot.name}")
+    table = Table(title=escape(robot.name))
+    for name in ("part", "body", "spheres", "overshoot [mm]"):
+        table.add_column(escape(name), overflow="fold")
     for number, part in enumerate(robot.parts):
         rows = robot.geom_parts == number
         body = robot.bodies[part.body].name if part.body >= 0 else "world"
-        table.add_row(part.name, body, str(rows.sum()), f"{over[rows].max():.1f}")
+        table.add_row(escape(part.name), escape(body), str(rows.sum()), f"{over[rows].max():.1f}")
     table.add_row("all", "", str(len(over)), f"{over.max():.1f}", style="bold")
     Console().print(table)
     print(f"{len(robot.self_pairs)} pairs of spheres tell whether the arm meets itself")

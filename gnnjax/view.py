@@ -44,6 +44,7 @@ class ViewConfig(QueryOptions, PlannerOptions, MotionOptions):
 
 def main(config: ViewConfig) -> None:
     """Serves the page until it is interrupted."""
+    print("reading arm and scene; the page is there in some seconds ...", flush=True)
     with contextlib.closing(open_page(config)) as page:
         shown = "localhost" if config.host in ("127.0.0.1", "0.0.0.0") else config.host
         print(f"open http://{shown}:{page.port} in a browser; Ctrl-C ends this", flush=True)

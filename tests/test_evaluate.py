@@ -1,6 +1,7 @@
 """Evaluation: what is written, summed up, resumed and refused."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -109,7 +110,9 @@ def test_the_summary_is_that_of_its_rows(results, capsys):
     hard = [row for row in valid if row["hard"]]
     assert results["summary"]["hard"]["num_problems"] == len(hard)
     print_summary(results)
-    assert "2 invalid problems left out: [2, 4]" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "2 invalid problems left out: [2, 4]" in printed
+    assert re.search(r"checks +checks +\[rad\] +\[ms\] +\[ms\]", printed)
 
 
 def without_times(rows):
