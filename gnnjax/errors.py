@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 import jax
+import numpy as np
+from numpy.typing import ArrayLike
 
 from gnnjax import interruption
 
@@ -50,6 +52,16 @@ _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 60
 def brief(value: object) -> str:
     """The `repr` of a value from a file, however large it is or deep."""
     return _REPR.repr(value)
+
+
+def as_typed(values: ArrayLike | float) -> Any:
+    """Numbers as they were typed, as a number or lists: 0.12 is 0.11999999731779099 once it was in
+    single precision."""
+    exact = np.asarray(values, float)
+    with np.errstate(over="ignore"):
+        single = exact.astype(np.float32)
+    shortest = single.astype(str).astype(float)
+    return np.where(single == exact, shortest, exact).tolist()
 
 
 def check_option_names(kind: type, options: dict[str, Any], of: str) -> None:

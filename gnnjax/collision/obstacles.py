@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.scene.scene import Scene
 
 _MOST_METERS = 1e4  # of an obstacle; what lies beyond is no scene of an arm
@@ -140,7 +140,7 @@ def scene_faults(scenes: Scene) -> list[str | None]:
             which = bad[i].argmax()
             faults[i] = faults[i] or (
                 f"existing obstacle {mask[i, :which].sum()} of the scene has {name} "
-                f"{values[i, which].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
+                f"{as_typed(values[i, which])}, which must be {rule} (m, below {_MOST_METERS:g}); "
                 "make scenes with make_scene or scene_from_shapes"
             )
     if scenes.cloud is not None:
