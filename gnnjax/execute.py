@@ -72,6 +72,7 @@ def main(config: ExecuteConfig) -> int:
     if config.video is not None:
         check_video(config.video)
     errors = ModelErrors(config.mass_error, config.friction, config.delay, config.payload)
+    print("compiling and simulating, which takes some seconds ...")
     found = execute_trajectory(
         robot,
         scene,
