@@ -25,9 +25,9 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from experiments.abreast import AbreastSearch, Candidates
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
@@ -207,4 +207,4 @@ def _abreast(config: AcceleratorConfig, robot: Robot) -> Iterator[Work]:
 
 
 if __name__ == "__main__":
-    run_command(lambda: accelerator(tyro.cli(AcceleratorConfig)))
+    run_command(lambda: accelerator(parse_arguments(AcceleratorConfig)))

@@ -55,7 +55,7 @@ def save_and_die(*args, **kwargs):
     save(*args, **kwargs)
     os.kill(os.getpid(), signal.SIGKILL)
 command.save_shard = save_and_die
-command.generate(command.tyro.cli(command.GenerateConfig))
+command.generate(command.parse_arguments(command.GenerateConfig))
 """
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.scene.scene import Scene
 
 _MOST_METERS = 1e4  # of an obstacle; what lies beyond is no scene of an arm
@@ -27,6 +27,7 @@ class Obstacles:
     radii: np.ndarray  # [M P] m
     has_clouds: bool
     allowed: np.ndarray | None  # [L+1 M P] contacts that are meant, by body; the world comes last
+    arm: np.ndarray | None  # the `arm_key` of the arm that these are of, in each scene
 
     def __init__(self, scenes: Scene):
         mask, centers, half_extents, quats, radii = _arrays(scenes)
@@ -47,9 +48,9 @@ class Obstacles:
         ]
         rows = [*self.centers, *sizes, *axes[0], *axes[1], *axes[2], disc, ball]
         self._table = np.stack(rows).reshape(17, -1)
-        self.allowed = None
+        self.allowed = self.arm = None
         if scenes.allowed is not None:
-            pairs = np.asarray(scenes.allowed.pairs)
+            pairs, self.arm = (np.asarray(x) for x in scenes.allowed)
             pairs = pairs if pairs.ndim == 3 else pairs[None]
             self.allowed = np.concatenate([pairs.T, np.zeros((1, *self.exists.shape), bool)])
         self.has_clouds = scenes.cloud is not None
@@ -141,7 +142,7 @@ def scene_faults(scenes: Scene) -> list[str | None]:
             which = bad[i].argmax()
             faults[i] = faults[i] or (
                 f"existing obstacle {mask[i, :which].sum()} of the scene has {name} "
-                f"{values[i, which].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
+                f"{as_typed(values[i, which])}, which must be {rule} (m, below {_MOST_METERS:g}); "
                 "make scenes with make_scene or scene_from_shapes"
             )
     if scenes.cloud is not None:

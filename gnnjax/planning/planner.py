@@ -180,9 +180,7 @@ class GuidedPlanner(Planner):
 
         def plan(share: Share) -> list[Plan]:
             own = jax.tree.map(lambda x: np.asarray(x)[share.numbers], problems)
-            run = self._run(own, seed, len(share.numbers), axis_aligned, len(shares))
-            run.most_roadmaps = most
-            return run.run()
+            return self._run(own, seed, axis_aligned, len(shares), most).run()
 
         # One rotated box in the batch, and all are taken for rotated.
         axis_aligned = is_axis_aligned(problems.scene)
@@ -194,13 +192,19 @@ class GuidedPlanner(Planner):
         for share in shares_of(batch_size):
             num = len(share.numbers)
             with share.at_home():
-                self._run(self._at_home(scene, num), 0, num, is_axis_aligned(scene)).warm_up()
+                self._run(self._at_home(scene, num), 0, is_axis_aligned(scene)).warm_up()
 
     def _run(
-        self, problems: Problem, seed: int, pool: int, axis_aligned: bool, shares: int = 1
+        self,
+        problems: Problem,
+        seed: int,
+        axis_aligned: bool,
+        shares: int = 1,
+        most: int | None = None,
     ) -> Run:
-        tester = self._tester(axis_aligned)
-        return Run(self.robot, self.strategy, self.options, tester, problems, seed, pool, shares)
+        tester, pool = self._tester(axis_aligned), len(problems.start)
+        own = self.robot, self.strategy, self.options
+        return Run(*own, tester, problems, seed, pool, shares, most)
 
     @per_object(functools.cache)
     def _tester(self, axis_aligned: bool) -> SequenceTester:
@@ -217,17 +221,15 @@ class WalkPlanner(Planner):
     strategy: Strategy
 
     def _plan_batch(self, problems: Problem, seed: int, most: int | None = None) -> list[Plan]:
-        walks = self._walks(problems, seed)
-        walks.most_roadmaps = most
-        return walks.run()
+        return self._walks(problems, seed, most).run()
 
     @on_host()
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         self._walks(self._at_home(scene, batch_size), 0).warm_up()
 
-    def _walks(self, problems: Problem, seed: int) -> Walks:
+    def _walks(self, problems: Problem, seed: int, most: int | None = None) -> Walks:
         compiled = self._compiled(is_axis_aligned(problems.scene))
-        return Walks(self.robot, self.strategy, self.options, compiled, problems, seed)
+        return Walks(self.robot, self.strategy, self.options, compiled, problems, seed, most)
 
     @per_object(functools.cache)
     def _compiled(self, axis_aligned: bool) -> Compiled:

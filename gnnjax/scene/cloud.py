@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, as_typed
 
 NODES = 48  # of the grid, along each axis
 AROUND = 0.15  # m, of the grid beyond the points: where it ends, all spheres of an arm are clear
@@ -73,7 +73,7 @@ def point_cloud(
     array = checked_points(points, source)
     for name, size in (("radius", radius), ("voxel", voxel)):
         if size is not None and not 0 < size < np.inf:
-            raise InputError(f"{name} of {source} is {size}; it must be positive (m)")
+            raise InputError(f"{name} of {source} is {as_typed(size)}; it must be positive (m)")
     if voxel is None:
         return Balls(array, float(radius))
     centers, more = _merged(array, voxel)
@@ -94,7 +94,7 @@ def checked_points(points: Sequence | np.ndarray, source: str) -> np.ndarray:
     if bad.any():
         i = int(bad.argmax())
         raise InputError(
-            f"point {i} of {source} is {array[i].tolist()}, one of {int(bad.sum())} that are not "
+            f"point {i} of {source} is {as_typed(array[i])}, one of {int(bad.sum())} that are not "
             f"finite or beyond {MOST_METERS:g} m; remove these"
         )
     return array
