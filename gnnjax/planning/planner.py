@@ -180,7 +180,8 @@ class GuidedPlanner(Planner):
 
         def plan(share: Share) -> list[Plan]:
             own = jax.tree.map(lambda x: np.asarray(x)[share.numbers], problems)
-            return self._run(own, seed, axis_aligned, len(shares), most).run()
+            num = len(share.numbers)
+            return self._run(own, seed, num, axis_aligned, len(shares), most).run()
 
         # One rotated box in the batch, and all are taken for rotated.
         axis_aligned = is_axis_aligned(problems.scene)
@@ -192,17 +193,18 @@ class GuidedPlanner(Planner):
         for share in shares_of(batch_size):
             num = len(share.numbers)
             with share.at_home():
-                self._run(self._at_home(scene, num), 0, is_axis_aligned(scene)).warm_up()
+                self._run(self._at_home(scene, num), 0, num, is_axis_aligned(scene)).warm_up()
 
     def _run(
         self,
         problems: Problem,
         seed: int,
+        pool: int,
         axis_aligned: bool,
         shares: int = 1,
         most: int | None = None,
     ) -> Run:
-        tester, pool = self._tester(axis_aligned), len(problems.start)
+        tester = self._tester(axis_aligned)
         own = self.robot, self.strategy, self.options
         return Run(*own, tester, problems, seed, pool, shares, most)
 

@@ -77,7 +77,7 @@ def distance_field(grid: Grid) -> Callable[[Scene], Float[Array, " V"]]:
 
         nearest = jnp.full(grid.shape, _FAR, jnp.float32)
         if scene.cloud is not None:
-            away = distances_to(scene.cloud, [x, y, z])
+            away = distances_to(scene.cloud, [jnp.asarray(side) for side in (x, y, z)])
             nearest = jnp.where(away < nearest, away, nearest)
         return jax.lax.fori_loop(0, last_box(scene.mask), nearer, nearest).ravel()
 
