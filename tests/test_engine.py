@@ -15,6 +15,7 @@ from gnnjax import devices
 from gnnjax.arm.robot import load_robot
 from gnnjax.clock import Clock
 from gnnjax.errors import InputError
+from gnnjax.planning import progress
 from gnnjax.planning.engine import Run
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
@@ -160,6 +161,33 @@ def test_a_batch_is_shared_out_over_cores_and_comes_out_the_same(
     assert [len(share.numbers) for share in devices.shares_of(NUM)] == [6, 5, 5]
     found = planner.plan_batch(problems)
     assert same(found, plans)
+
+
+def test_what_no_certificate_proves_is_searched_anew(planner, problems, plans, monkeypatch):
+    plain, prove, refused = progress.certify_edges, progress.Progress.prove, []
+
+    def certify(*args):
+        return plain(*args) & bool(refused)
+
+    def first_refused(self):
+        monkeypatch.setattr(progress, "certify_edges", certify)
+        asked = [i for i, paths in enumerate(self.unproven) if paths]
+        prove(self)
+        assert not any(self.unproven)
+        if not refused:
+            assert all(self.paths[i] is None for i in asked)
+            refused.extend(asked)
+
+    monkeypatch.setattr(progress.Progress, "prove", first_refused)
+    monkeypatch.setattr(devices, "num_cores", lambda: 1)
+    found = planner.plan_batch(problems)
+    bent = [i for i, plan in enumerate(plans) if plan.success and len(plan.path) > 2]
+    assert set(bent) <= set(refused)
+    for i, (plan, before) in enumerate(zip(found, plans, strict=True)):
+        assert plan.success == before.success
+        if plan.success:
+            check_path(planner.robot, one(problems, i), plan)
+        assert (plan.edge_checks > before.edge_checks) == (i in refused)
 
 
 def test_a_time_limit_acts_between_rounds(planner, problems, plans, monkeypatch):

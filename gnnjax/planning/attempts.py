@@ -73,6 +73,7 @@ class Attempts(Progress):
         self.placed = tester.place(self.problems.scene)
         self.shortener = Shortener(self, strategy, tester, self.placed, self.chunk)
         num = len(self.paths)
+        self.wanted = np.ones(num, bool)  # whether a path is still looked for
         self.straight = np.zeros(num, np.int8)  # status of the straight line
         self.kept: list[list[Kept]] = [[] for _ in range(num)]
 

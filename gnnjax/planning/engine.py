@@ -32,6 +32,26 @@ class Run(Attempts):
         # Sampled roadmaps are searched as other planners do; most have no such edge.
         for first in range(0, 0 if self.options.sampled else len(every), _STRAIGHT):
             self._test_straight_lines(every[first : first + _STRAIGHT])
+        # Paths that are shortened afterwards wait for the certificate of what comes out.
+        cheap = self.strategy.shorten and self.options.check_cost <= CHEAP
+        self.defers = cheap and not self.options.sampled
+        self._search_roadmaps()
+        if not self.options.sampled:
+            self._grow_trees()
+        if self.defers:
+            had = np.array([self.best(i) is not None for i in range(len(every))], bool)
+            cut_short(self, self.tester, self.placed, every)
+            self.defers = False
+            # What tests found free and no certificate does: a search that goes around it.
+            self.wanted = had & np.array([path is None for path in self.paths], bool)
+            if self.wanted.any():
+                self._search_roadmaps()
+                cut_short(self, self.tester, self.placed, np.flatnonzero(self.wanted))
+        return self.plans([self._reason(i) for i in range(len(every))])
+
+    def _search_roadmaps(self) -> None:
+        """Searches roadmaps for the problems that have no path."""
+        every = np.arange(len(self.paths))
         last = min(self.options.max_roadmaps, _ROADMAPS_A_LEVEL * self.options.effort)
         for level in range(0, last, _ROADMAPS_A_LEVEL):
             for number in range(level, min(level + _ROADMAPS_A_LEVEL, last)):
@@ -52,12 +72,6 @@ class Run(Attempts):
                     numbers = np.array([one.number for one in kept])
                     self.attempt(np.array(ids), numbers, np.inf, [one.known for one in kept])
             self.kept = [[] for _ in every]
-        if not self.options.sampled:
-            self._grow_trees()
-            if self.strategy.shorten and self.options.check_cost <= CHEAP:
-                solved = np.flatnonzero([path is not None for path in self.paths])
-                cut_short(self, self.tester, self.placed, solved)
-        return self.plans([self._reason(i) for i in range(len(every))])
 
     def _grow_trees(self) -> None:
         """What is left to problems that no roadmap solves."""
@@ -104,7 +118,7 @@ class Run(Attempts):
                     self.shortener.shortcuts(pool, np.zeros(1, int), host)
 
     def _open(self) -> np.ndarray:
-        return np.flatnonzero(self.open(self.options.time_limit))
+        return np.flatnonzero(self.open(self.options.time_limit) & self.wanted)
 
     def _test_straight_lines(self, ids: np.ndarray) -> None:
         """Tests the straight lines from starts to goals."""

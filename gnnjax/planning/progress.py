@@ -31,6 +31,9 @@ class Progress:
         self._most_roadmaps = most_roadmaps
         self.problems = jax.tree.map(np.asarray, problems)
         self.paths: list[np.ndarray | None] = [None] * num
+        # Shorter paths that tests found free, which await their certificate; the shortest last.
+        self.unproven: list[list[np.ndarray]] = [[] for _ in range(num)]
+        self.defers = False  # whether routes await theirs, or are certified at once
         self.sampling_checks = np.full(num, 2)  # start and goal
         self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
         self.planning_time, self.total_time = np.zeros((2, num))
@@ -39,6 +42,7 @@ class Progress:
     def open(self, time_limit: float) -> np.ndarray:
         """Which problems have no path, time left and, if need be, roadmaps left, `[P]`."""
         unsolved = np.array([path is None for path in self.paths], bool)
+        unsolved &= [not paths for paths in self.unproven]
         if self._most_roadmaps is not None:
             unsolved &= self.roadmaps < self._most_roadmaps
         return unsolved & (self.total_time <= time_limit)
@@ -81,6 +85,27 @@ class Progress:
                 self.paths[i] = path
         return found
 
+    def best(self, i: int) -> np.ndarray | None:
+        """The shortest path of a problem, certified or not; None where there is none."""
+        return self.unproven[i][-1] if self.unproven[i] else self.paths[i]
+
+    def keep(self, i: int, path: np.ndarray) -> None:
+        """Keeps a path that tests found free, if it is shorter than the best."""
+        best = self.best(i)
+        if best is None or path_length(path) < path_length(best):
+            self.unproven[i].append(path)
+
+    def prove(self) -> None:
+        """Certifies the shortest path of each problem that awaits it; where that fails the one
+        before it, and so on."""
+        while ids := [i for i, paths in enumerate(self.unproven) if paths]:
+            begin = self.clock.now()
+            certified = self.certify(np.array(ids), [self.unproven[i].pop() for i in ids])
+            for i, edges in zip(ids, certified, strict=True):
+                if edges.all():
+                    self.unproven[i] = []
+            self.spend(np.array(ids), begin)
+
     def _obstacles_of(self, ids: np.ndarray) -> Obstacles:
         """What the scenes of some problems hold. A lone query asks for the same again and again."""
         if self._known is None or not np.array_equal(self._known[0], ids):
@@ -91,7 +116,7 @@ class Progress:
     def certify_routes(
         self, ids: np.ndarray, rows: np.ndarray, routes: Route, edges: np.ndarray
     ) -> np.ndarray:
-        """`certify` for the routes of some slots of a pool.
+        """`certify` for the routes of some slots of a pool, or keeps them for `prove`.
 
         Args:
             ids: problems.
@@ -100,9 +125,14 @@ class Progress:
             edges: `[S N]` what is known of their steps; those not certified become INVALID.
 
         Returns:
-            Of each problem, whether its path is certified.
+            Of each problem, whether its path is certified, or awaits that.
         """
-        certified = self.certify(ids, [routes.points[row, : routes.num[row]] for row in rows])
+        paths = [routes.points[row, : routes.num[row]] for row in rows]
+        if self.defers:
+            for i, path in zip(ids.tolist(), paths, strict=True):
+                self.keep(i, path)
+            return np.ones(len(ids), bool)
+        certified = self.certify(ids, paths)
         for row, good in zip(rows, certified, strict=True):
             edges[row, np.flatnonzero(~good)] = INVALID
         return np.array([good.all() for good in certified], bool)

@@ -1,4 +1,4 @@
-"""Shortens certified paths by testing all shortcuts between points of theirs.
+"""Shortens paths by testing all shortcuts between points of theirs.
 
 Where a check costs less than a look at the guide, this is the quickest way to a short path: every
 motion between two of a path's points is tested, of all paths together and in a few flat calls, and
@@ -23,20 +23,19 @@ _FIRST, _SECOND = np.triu_indices(_POINTS, 1)  # [E] the motions
 def cut_short(
     progress: Progress, tester: SequenceTester, placed: PlacedScenes, ids: np.ndarray
 ) -> None:
-    """Shortens the certified paths of some problems.
+    """Shortens the paths of some problems, and proves what comes out.
 
     Args:
-        progress: has the paths, and gets shorter ones, if they are certified.
+        progress: has the paths, certified or not, and gets shorter ones.
         tester: of the arm.
         placed: scenes of all problems.
-        ids: of problems with a path.
+        ids: of problems.
     """
-    # Of each problem, the certified path and what passes have made of it.
-    found = {i: [progress.paths[i]] for i in ids.tolist()}
+    found = {i: path for i in ids.tolist() if (path := progress.best(i)) is not None}
     passes = dict.fromkeys(found, 0)
     while True:
-        bent = [i for i, paths in found.items() if len(paths[-1]) > 2]
-        bent = [i for i in bent if passes[i] < _PASSES or len(found[i][-1]) > _POINTS]
+        bent = [i for i, path in found.items() if len(path) > 2]
+        bent = [i for i in bent if passes[i] < _PASSES or len(found[i]) > _POINTS]
         bent = [i for i in bent if passes[i] < 3 * _PASSES]
         if not bent:
             break
@@ -44,7 +43,7 @@ def cut_short(
         cut = []  # problem and piece of its path
         for i in bent:
             passes[i] += 1
-            path = found[i][-1]
+            path = found[i]
             for first in range(0, len(path) - 1, _POINTS - 1):
                 cut.append((i, path[first : first + _POINTS]))
         shorter: dict[int, list[np.ndarray]] = {i: [] for i in bent}
@@ -57,25 +56,14 @@ def cut_short(
                 shorter[i].append(piece)
         for i in bent:
             joined = np.concatenate([*(x[:-1] for x in shorter[i]), shorter[i][-1][-1:]])
-            before, after = path_length(found[i][-1]), path_length(joined)
+            before, after = path_length(found[i]), path_length(joined)
             if after < before:
-                found[i].append(joined)
+                found[i] = joined
+                progress.keep(i, joined)
             if after > _GAIN * before:
                 passes[i] = 3 * _PASSES
         progress.spend(np.array(bent), begin)
-    _keep_best(progress, found)
-
-
-def _keep_best(progress: Progress, found: dict[int, list[np.ndarray]]) -> None:
-    """Certifies the last path of each problem; the one before it where that fails, and so on."""
-    left = {i: paths[1:] for i, paths in found.items()}
-    while ids := [i for i, paths in left.items() if paths]:
-        begin = progress.clock.now()
-        certified = progress.certify(np.array(ids), [left[i].pop() for i in ids])
-        for i, edges in zip(ids, certified, strict=True):
-            if edges.all():
-                left[i] = []
-        progress.spend(np.array(ids), begin)
+    progress.prove()
 
 
 def _cut(
