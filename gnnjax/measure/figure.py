@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from gnnjax.files import atomic_write
 from gnnjax.plot import check_picture
@@ -105,7 +106,11 @@ def _draw_quantity(
     values = np.array(drawn)
     if len(values) and values.min() > 0 and values.max() > _WIDE * values.min():
         axes.set_xscale("log")
+        # Labels of the smaller ticks would run into one another.
+        few = LogLocator(subs=(1.0, 3.0), numticks=12)
+        axes.xaxis.set_major_locator(few)
         axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
     else:
         axes.set_xlim(left=0)
 
