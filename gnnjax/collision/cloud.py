@@ -57,7 +57,7 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
 
     def touched(
         clouds: Cloud, owner: Int[Array, "..."], q: Float[Array, "*batch D"]
-    ) -> UInt[Array, "W *batch"]:
+    ) -> UInt[Array, " W *batch"]:
         """Bit p % 32 of word p // 32: whether spheres of part p are not clear."""
 
         def look(words: list[jax.Array], g: int, squared: jax.Array, reach: jax.Array) -> list:
@@ -162,10 +162,11 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
     def clear_of_obstacles(placed: _Placed, *asked: jax.Array) -> jax.Array:
         return second.clear_of_obstacles(placed.others, *asked)
 
-    second = second._replace(clear_of_obstacles=clear_of_obstacles, clear_of_cloud=clear_of_cloud)
-    return CollisionFunctions(
-        clearance, collision_free, place, collision_free_each, Levels(first_level, second)
+    both = Levels(
+        first_level,
+        second._replace(clear_of_obstacles=clear_of_obstacles, clear_of_cloud=clear_of_cloud),
     )
+    return CollisionFunctions(clearance, collision_free, place, collision_free_each, both)
 
 
 def over_moving_spheres(robot: Robot) -> Callable[..., Any]:

@@ -1,20 +1,20 @@
 """The arm's parts as they are before the points of clouds, for what look-ups in grids leave open.
 
-A direction that separates a part from one point (`convex.py`) separates it from most points around,
-too. So of the points that may touch a part, the one that seems nearest is asked about, all those are
-struck out that lie beyond the same plane, and so on, until one is found in contact or none is left.
-Points are in leaves, which are struck out as a whole where the box around them is beyond the plane.
+A direction that separates a part from one point (`convex.py`) separates it from most points nearby.
+So of the points that may touch a part, the one that seems nearest is asked about, and all that lie
+beyond the same plane are struck out, until one is in contact or none is left. Points are in leaves,
+which are struck out as a whole where the box around them is beyond the plane.
 """
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gnnjax.arm.kinematics import Matrix, Vector, dot, transform
+from gnnjax.arm.kinematics import dot, transform
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.exact import hulls_of, part_frames, test_pairs
@@ -29,6 +29,8 @@ _ROUNDING, _SHARE = 1e-5, 1e-6
 _FAR = 1e6  # m; where leaves without points are
 _NOTHING = -1e3  # m; radius of a ball that is apart from everything
 
+_Vector: TypeAlias = list[Any]  # of arrays, its components
+
 
 class Leaves(NamedTuple):
     """Points of P clouds, B each that are near each other, and the boxes around these."""
@@ -41,11 +43,11 @@ class Leaves(NamedTuple):
 class _Planes(NamedTuple):
     """Planes of N parts, which separate them from points; components by themselves."""
 
-    normal: Vector  # [N], of unit length, towards the part
-    point: Vector  # [N] m
+    normal: _Vector  # [N], of unit length, towards the part
+    point: _Vector  # [N] m
     gap: Float[Array, "..."]  # [N] m, between the part and the ball about that point
 
-    def gaps(self, places: Vector, halves: Vector | None = None) -> jax.Array:
+    def gaps(self, places: _Vector, halves: _Vector | None = None) -> jax.Array:
         """Of the balls about places `[N K]`, or about all of the boxes around these: m."""
         found = self.gap[:, None]
         for a, (n, point, place) in enumerate(zip(self.normal, self.point, places, strict=True)):
@@ -59,12 +61,12 @@ class _Planes(NamedTuple):
 class _Box(NamedTuple):
     """Boxes around N parts and the balls of points; components by themselves."""
 
-    middle: Vector  # [N] m
-    axes: Matrix  # [N]; a column is an axis of the box
-    halves: Vector  # [N] m, along its own axes
-    around: Vector  # [N] m, along those of the base
+    middle: _Vector  # [N] m
+    axes: list[_Vector]  # [N]; a column is an axis of the box
+    halves: _Vector  # [N] m, along its own axes
+    around: _Vector  # [N] m, along those of the base
 
-    def gaps(self, places: Vector, halves: Vector | None = None) -> jax.Array:
+    def gaps(self, places: _Vector, halves: _Vector | None = None) -> jax.Array:
         """As `_Planes.gaps`, for planes along the axes of base and box."""
         away = [x - m[:, None] for x, m in zip(places, self.middle, strict=True)]
         lost, beyond = 0.0, []
@@ -87,7 +89,7 @@ class _Box(NamedTuple):
 class _State(NamedTuple):
     rounds: Int[Array, ""]
     leaves: Float[Array, "N L"]  # gaps at least, m; infinite for those whose points were taken
-    points: Vector  # [N H] m, of the leaves that were taken last
+    points: _Vector  # [N H] m, of the leaves that were taken last
     gaps: Float[Array, "N H"]  # of these, at least, m
     planes: list[_Planes]  # the last ones
     touching: Bool[Array, " N"]
@@ -137,9 +139,7 @@ def clear_of_points(
             middle = transform(list(position), axes, list(part_middles[part].T))
             more = ball + _ROUNDING
             box = _Box(middle, axes, [x + more for x in half], [x + more for x in around])
-            boxes, extents = (
-                [x[of, a] for a in range(3)] for x in (leaves.middles, leaves.halves)
-            )
+            boxes, extents = ([x[of, a] for a in range(3)] for x in (leaves.middles, leaves.halves))
             lanes, taken = jnp.arange(len(lane))[:, None], min(_TAKEN, leaves.points.shape[1])
 
             def points_left(state: _State) -> jax.Array:

@@ -104,9 +104,7 @@ class SequenceTester:
                 jax.block_until_ready((apart, self._second.clear_of_itself(rows, owner > 0)))
                 if self._second.clear_of_cloud is not None:
                     asked = owner, rows, owner > 0
-                    jax.block_until_ready(
-                        self._second.clear_of_cloud(placed.with_points, *asked)
-                    )
+                    jax.block_until_ready(self._second.clear_of_cloud(placed.with_points, *asked))
 
     def __call__(
         self, placed: PlacedScenes, items: Items, num: int, clock: Clock | None = None

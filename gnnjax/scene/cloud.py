@@ -123,8 +123,7 @@ def make_cloud(clouds: Sequence[Balls], source: str = "the scene") -> Cloud:
         InputError: more points than the largest bucket holds.
     """
     points = np.concatenate([balls.points for balls in clouds]).astype(np.float32)
-    places = _places_on_curve(points, points.min(axis=0), points.max(axis=0))
-    points = points[np.argsort(places, kind="stable")]
+    points = points[np.argsort(_places_on_curve(points), kind="stable")]
     radius = max(balls.radius for balls in clouds)
     room = next((bucket for bucket in BUCKETS if len(points) <= bucket), None)
     if room is None:
@@ -163,11 +162,11 @@ def _grid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return lower, cells, away * away
 
 
-def _places_on_curve(points: Any, low: Any, high: Any) -> Any:
-    """Where points `[K, 3]` between `low` and `high` `[3]` lie on a Z-shaped curve (Morton, 1966),
-    along which neighbours are mostly near each other; of NumPy, or inside of compiled functions."""
-    side = 2.0**_CURVE_BITS - 1.0
-    cells = ((points - low) * (side / (high - low + 1e-9))).astype(np.int32)
+def _places_on_curve(points: Any) -> Any:
+    """Where points `[K, 3]` in reach lie on a Z-shaped curve (Morton, 1966), along which neighbours
+    are mostly near each other; of NumPy, or inside of compiled functions."""
+    share = ((points + REACH) * (1 / (2 * REACH))).clip(0.0, 1.0)
+    cells = (share * (2.0**_CURVE_BITS - 1.0)).astype(np.int32)
     place = 0
     for bit in range(_CURVE_BITS):
         for axis in range(3):
@@ -184,8 +183,7 @@ def cloud_of(points: Float[Array, "K 3"], radius: float) -> Cloud:
     """
     exists = jnp.isfinite(points).all(axis=1)
     points = jnp.where(exists[:, None], points, 0.0)
-    places = _places_on_curve(points, -REACH, REACH)
-    order = jnp.argsort(jnp.where(exists, places, 8**_CURVE_BITS))
+    order = jnp.argsort(jnp.where(exists, _places_on_curve(points), 8**_CURVE_BITS))
     points, exists = points[order], exists[order, None]
     lower = jnp.min(points, axis=0, where=exists, initial=REACH) - AROUND
     upper = jnp.max(points, axis=0, where=exists, initial=-REACH) + AROUND
