@@ -31,7 +31,8 @@ PACKAGE = Path(gnnjax.__file__).parent
 def command_names() -> list[str]:
     """Modules that are commands, in the order of the alphabet."""
     files = sorted(PACKAGE.glob("*.py"))
-    return [file.stem for file in files if "tyro.cli(" in file.read_text(encoding="utf-8")]
+    reads = re.compile(r"parse_arguments\(\w+Config\b")
+    return [file.stem for file in files if reads.search(file.read_text(encoding="utf-8"))]
 
 
 def help_of(command: str) -> str:
@@ -41,7 +42,7 @@ def help_of(command: str) -> str:
     (config,) = {
         ast.unparse(call.args[0])
         for call in calls
-        if isinstance(call, ast.Call) and ast.unparse(call.func) == "tyro.cli"
+        if isinstance(call, ast.Call) and ast.unparse(call.func) == "parse_arguments"
     }
     printed = io.StringIO()
     with (
@@ -57,6 +58,8 @@ def options_of(text: str) -> tuple[str, list[tuple[str, str]]]:
     """What a help text says of the command, and its options: how each is written, what it does."""
     about, *boxes = re.split(r"\n [^\n]*\n -{9,} *\n", text)
     options = []
+    # Some boxes begin with a word on their options, above a rule.
+    boxes = [re.split(r"^  -{9,} *$", box, flags=re.MULTILINE)[-1] for box in boxes]
     for line in "\n".join(boxes).splitlines():
         if re.match(r"  \S", line):  # what is said goes on farther to the right
             options.append(list(line.strip().partition("  ")[::2]))
@@ -93,8 +96,8 @@ class PublicNames(Directive):
     def run(self) -> list[nodes.Node]:
         wings: dict[str, list[str]] = {}
         tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
-        for node in tree.body:
-            if isinstance(node, ast.ImportFrom):
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gnnjax."):
                 wing = (node.module or "").split(".")[1]
                 wings.setdefault(wing, []).extend(alias.name for alias in node.names)
         lines = []

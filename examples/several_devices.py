@@ -6,7 +6,7 @@ python examples/several_devices.py
 import os
 
 # Two devices of a CPU, as a machine with two GPUs has them by itself.
-os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
+os.environ["JAX_NUM_CPU_DEVICES"] = "2"
 os.environ["JAX_PLATFORMS"] = "cpu"
 
 from pathlib import Path

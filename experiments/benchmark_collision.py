@@ -31,10 +31,10 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from experiments.engine import Engine, empty_engine
 from experiments.operations import operations
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
@@ -254,4 +254,4 @@ def _in_one_core(config: BenchmarkConfig) -> dict:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(BenchmarkConfig)) and None)
+    run_command(lambda: main(parse_arguments(BenchmarkConfig)) and None)

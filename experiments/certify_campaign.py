@@ -19,7 +19,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -27,6 +26,7 @@ from rich.table import Table
 from experiments.campaign_edges import Edges, draw_edges, draw_points, lengthen, push
 from experiments.judge import NEAR, Arm, Judge, Scan
 from experiments.random_arm import BASE, distorted_arm, random_arm
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import is_self_free
 from gnnjax.errors import InputError, check_seed, run_command
@@ -244,4 +244,4 @@ def _show(summary: dict[str, dict]) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(CampaignConfig)) and None)
+    run_command(lambda: run(parse_arguments(CampaignConfig)) and None)

@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -29,6 +28,7 @@ from rich.table import Table
 from experiments.campaign_edges import Edges, draw_shapes, push
 from experiments.certify_campaign import SHIPPED, enter, told, write
 from experiments.judge import Arm, Judge
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, clearances
 from gnnjax.errors import InputError, check_seed, run_command
@@ -253,4 +253,4 @@ def _show(summary: dict[str, dict]) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(CurvesConfig)) and None)
+    run_command(lambda: run(parse_arguments(CurvesConfig)) and None)

@@ -21,9 +21,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from experiments.engine import Engine
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, Checker, make_checker
 from gnnjax.collision.fused import boxes_clear
@@ -189,4 +189,4 @@ def main(config: CompareConfig) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(CompareConfig)) and None)
+    run_command(lambda: main(parse_arguments(CompareConfig)) and None)

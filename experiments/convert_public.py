@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import tyro
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.errors import InputError, run_command
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
@@ -134,7 +135,7 @@ class _ArrayUnpickler(pickle.Unpickler):
 
 
 def main() -> None:
-    config = tyro.cli(ConvertConfig)
+    config = parse_arguments(ConvertConfig)
     print(f"wrote {convert(config)} problems to {config.out}")
 
 

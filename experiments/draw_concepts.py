@@ -12,12 +12,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.certify import clearances
@@ -235,4 +235,4 @@ def _trajectory() -> Figure:
 
 
 if __name__ == "__main__":
-    run_command(lambda: draw_concepts(tyro.cli(DrawConfig)))
+    run_command(lambda: draw_concepts(parse_arguments(DrawConfig)))

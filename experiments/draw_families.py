@@ -10,9 +10,9 @@ import jax
 import matplotlib
 import mujoco
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import run_command
 from gnnjax.files import atomic_write
@@ -140,4 +140,4 @@ def _add_backdrop(shown: mujoco.MjvScene) -> None:
 
 if __name__ == "__main__":
     matplotlib.use("agg")
-    run_command(lambda: draw_families(tyro.cli(DrawConfig)))
+    run_command(lambda: draw_families(parse_arguments(DrawConfig)))

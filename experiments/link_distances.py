@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 import tyro
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import run_command
 
@@ -153,7 +154,7 @@ def self_collision_rates(distance: PartDistance, config: DistanceConfig) -> tupl
 
 
 def main() -> None:
-    compare(tyro.cli(DistanceConfig))
+    compare(parse_arguments(DistanceConfig))
 
 
 if __name__ == "__main__":

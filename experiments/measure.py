@@ -10,8 +10,6 @@ import functools
 from pathlib import Path
 from typing import Any
 
-import jax
-
 from experiments.commands import command_line
 from experiments.statistics import column, statistics, summarize_seeds
 from gnnjax.arm.robot import load_robot
@@ -127,14 +125,11 @@ def _run_seed(case: EvaluateConfig, seed: int, runs: Path) -> dict[str, Any]:
 @functools.lru_cache(maxsize=4)
 def _planner(settings: EvaluateConfig) -> Any:
     """One planner for all seeds and sets, so that it is compiled once."""
-    # All that ever was compiled for earlier ones would stay in memory, piece by piece, until the
-    # system has no pieces left.
-    jax.clear_caches()
     return make_planner(load_robot(settings.robot), settings)
 
 
 # Settings that file names tell in other ways, and those that change no row.
-_UNTOLD = "problems json planner num_nodes seed robot cluster keep_parts".split()
+_UNTOLD = "problems json planner num_nodes seed robot cluster keep_parts figure beside".split()
 
 
 def slug(case: EvaluateConfig) -> str:

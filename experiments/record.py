@@ -11,11 +11,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import tyro
 from matplotlib.figure import Figure
 
 from experiments.measure import ExperimentConfig
 from experiments.results import Row, save_results
+from gnnjax.arguments import parse_arguments
 from gnnjax.errors import run_command
 from gnnjax.files import atomic_write
 
@@ -83,7 +83,7 @@ def main(experiment: Experiment) -> None:
     which decides nothing."""
 
     def command() -> None:
-        config = tyro.cli(experiment.config)
+        config = parse_arguments(experiment.config)
         results = run(experiment, config)
         if not config.quick:
             print(f"{experiment.claim} {experiment.verdict(results)}")

@@ -9,13 +9,12 @@ typed by hand, and neither is whether a claim holds.
 import dataclasses
 from pathlib import Path
 
-import tyro
-
 from experiments import paper
 from experiments.readme import readme
 from experiments.record import section
 from experiments.registry import EXPERIMENTS
 from experiments.results import Row, load_results
+from gnnjax.arguments import parse_arguments
 from gnnjax.errors import run_command
 from gnnjax.files import atomic_write
 
@@ -69,4 +68,4 @@ def run(config: ReportConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(ReportConfig)))
+    run_command(lambda: run(parse_arguments(ReportConfig)))

@@ -10,12 +10,12 @@ its results where these problems are not there.
 
 import dataclasses
 
-import tyro
 from rich.console import Console
 
 from experiments import record, report
 from experiments.measure import ExperimentConfig, MissingProblems
 from experiments.registry import EXPERIMENTS
+from gnnjax.arguments import parse_arguments
 from gnnjax.errors import InputError, run_command
 
 
@@ -45,4 +45,4 @@ def run(config: RunAllConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: run(tyro.cli(RunAllConfig)))
+    run_command(lambda: run(parse_arguments(RunAllConfig)))

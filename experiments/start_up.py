@@ -13,10 +13,10 @@ import subprocess
 import sys
 import tempfile
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.errors import run_command
 
 _IMPORT = (
@@ -83,4 +83,4 @@ def main(config: StartUpConfig) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(StartUpConfig)) and None)
+    run_command(lambda: main(parse_arguments(StartUpConfig)) and None)

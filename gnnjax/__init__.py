@@ -3,6 +3,8 @@
 The blocks of the paper that it starts from are in `gnnjax.paper`.
 """
 
+from typing import TYPE_CHECKING, Any
+
 import gnnjax.interruption  # noqa: F401  first: from here on a command can be interrupted
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
@@ -12,7 +14,6 @@ from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide, Prices
-from gnnjax.guide.motion import MotionNetwork, motion_guide
 from gnnjax.planning.load import load_planner, make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
@@ -59,7 +60,6 @@ from gnnjax.scene.surfaces import (
 from gnnjax.search.greedy import Scorer, greedy_search
 from gnnjax.search.knowledge import SearchResult
 from gnnjax.search.lazy import lazy_search
-from gnnjax.training.weights import load_network, save_network
 from gnnjax.trajectory.execution import (
     Execution,
     Trace,
@@ -76,6 +76,28 @@ from gnnjax.trajectory.trajectory import (
     time_path,
     time_paths,
 )
+
+# Flax takes half a second to import, which only those pay who use networks.
+if TYPE_CHECKING:
+    from gnnjax.guide.motion import MotionNetwork, motion_guide
+    from gnnjax.training.weights import load_network, save_network
+
+_OF_NETWORKS = {
+    "MotionNetwork": "gnnjax.guide.motion",
+    "motion_guide": "gnnjax.guide.motion",
+    "load_network": "gnnjax.training.weights",
+    "save_network": "gnnjax.training.weights",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """What is imported when it is first asked for."""
+    if name not in _OF_NETWORKS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_OF_NETWORKS[name]), name)
+
 
 __all__ = [
     "Allowed",

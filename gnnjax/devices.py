@@ -1,15 +1,16 @@
 """How work is compiled and spread: the cache of compiled code, and the axis of many problems."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gnnjax.errors import InputError
 from gnnjax.files import cache_folder
 
 
@@ -27,6 +28,39 @@ def run_where_called() -> None:
     this when it makes its first array; later it changes nothing.
     """
     jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+def platform() -> str:
+    """Where functions that are called now run: "cpu", "gpu" or "tpu"."""
+    device = jax.config.jax_default_device
+    if device is None:
+        return jax.default_backend()
+    return device if isinstance(device, str) else device.platform
+
+
+@contextmanager
+def on_host() -> Iterator[None]:
+    """Has functions run on the CPU, also where JAX has an accelerator.
+
+    For many small calls in a row, as searches make them: an H100 takes half a millisecond or more
+    for each, and with all of its calls there a batch of 256 plans took three times as long as on a
+    single core.
+
+    Raises:
+        InputError: JAX was told to do without its CPU.
+    """
+    if platform() == "cpu":
+        yield
+        return
+    try:
+        device = jax.local_devices(backend="cpu")[0]
+    except RuntimeError:
+        raise InputError(
+            f"JAX_PLATFORMS is {jax.config.jax_platforms!r}, and searches need the CPU, too; "
+            "leave it out, or add ',cpu'"
+        ) from None
+    with jax.default_device(device):
+        yield
 
 
 _LEAST_SHARE = 16  # problems; fewer are not worth another thread
@@ -47,9 +81,10 @@ def shares_of(num: int) -> list[Share]:
     """Divides `num` problems among the devices of the process, or the cores of the only one where
     that is a CPU.
     """
-    devices: list[Any] = jax.local_devices()
+    devices: list[Any] = jax.local_devices(backend=platform())
     if len(devices) == 1:
-        devices = [None] * (num_cores() if jax.default_backend() == "cpu" else 1)
+        # A thread begins without what `on_host` has chosen.
+        devices = [jax.config.jax_default_device] * (num_cores() if platform() == "cpu" else 1)
     dealt = deal(num, len(devices), _LEAST_SHARE)
     return [Share(device, numbers) for device, numbers in zip(devices, dealt, strict=False)]
 
@@ -113,7 +148,7 @@ def map_first(
         rows: which rows count.
         into: a tree of results with B rows, which are replaced.
     """
-    if jax.default_backend() != "cpu":
+    if platform() != "cpu":
         return jax.vmap(function)(args)
     function = jax.jit(function, inline=True)  # traced once for both uses
     if into is None:
@@ -163,18 +198,21 @@ def on_all_cores(function: Callable, args: Any) -> Any:
         NumPy arrays with B rows.
     """
     num = len(jax.tree.leaves(args)[0])
-    on_cpu = jax.default_backend() == "cpu"
+    on_cpu = platform() == "cpu"
     cores = min(num, num_cores()) if on_cpu else 1
     size = -(-num // cores)
     # Compiled for one of few sizes; on a CPU, rows that do not count take no time.
-    room = 4 if on_cpu else size
+    room = 16 if on_cpu else size
     while room < size:
         room *= 4
 
+    home = jax.config.jax_default_device  # which threads do not know
+
     def part(first: int, count: int) -> Any:
         rows = np.minimum(np.arange(first, first + room), num - 1)
-        found = function(count, jax.tree.map(lambda x: x[rows], args))
-        return jax.tree.map(lambda x: np.asarray(x)[:count], found)
+        with jax.default_device(home):
+            found = function(count, jax.tree.map(lambda x: x[rows], args))
+            return jax.tree.map(lambda x: np.asarray(x)[:count], found)
 
     if cores > 1:  # or each thread would compile it
         part(0, 0)

@@ -1,13 +1,16 @@
 """Errors that a person can act on, in one line."""
 
+import contextlib
 import dataclasses
 import errno
 import reprlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 import jax
+import numpy as np
+from numpy.typing import ArrayLike
 
 from gnnjax import interruption
 
@@ -51,12 +54,33 @@ def brief(value: object) -> str:
     return _REPR.repr(value)
 
 
+def as_typed(values: ArrayLike | float) -> Any:
+    """Numbers as they were typed, as a number or lists: 0.12 is 0.11999999731779099 once it was in
+    single precision."""
+    exact = np.asarray(values, float)
+    with np.errstate(over="ignore"):
+        single = exact.astype(np.float32)
+    shortest = single.astype(str).astype(float)
+    return np.where(single == exact, shortest, exact).tolist()
+
+
 def check_option_names(kind: type, options: dict[str, Any], of: str) -> None:
     """Raises for the name of an option that is no field of a dataclass."""
     known = [field.name for field in dataclasses.fields(kind)]
     unknown = sorted(options.keys() - set(known))
     if unknown:
         raise InputError(f"no option {unknown[0]!r} of {of}; there are {known}")
+
+
+@contextlib.contextmanager
+def needs_extra(what: str, extra: str) -> Iterator[None]:
+    """Imports within it that fail say which of the package's extras `what` needs."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(
+            f"{what} needs the {extra} extra ({error}); pip install 'gnnjax[{extra}]'"
+        ) from None
 
 
 def is_out_of_memory(error: Exception) -> bool:

@@ -2,6 +2,8 @@
 
     python -m gnnjax.evaluate --problems data/kuka_iiwa14_test.npz --json guided.json
 
+`--figure guided.png` draws the summary, `--beside rrtc.json` those of other planners with it.
+
 A path that comes after the time limit is a failure, whatever the planner.
 
 Results are written as they come; the same command goes on where it was cut off.
@@ -14,21 +16,28 @@ import dataclasses
 import importlib.metadata
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import ALONE, Cluster
-from gnnjax.errors import InputError, check_seed, run_command
+from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_command
 from gnnjax.files import check_target, locked
 from gnnjax.measure.batches import Batches
 from gnnjax.measure.machine import describe_machine
-from gnnjax.measure.result_files import FORMAT, RowFiles, read_rows, write_results
+from gnnjax.measure.result_files import (
+    FORMAT,
+    RowFiles,
+    read_results,
+    read_rows,
+    write_results,
+)
 from gnnjax.measure.statistics import columns_of, summarize, summarize_columns
-from gnnjax.measure.table import print_summary
+from gnnjax.measure.table import print_summary, title_of
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
@@ -69,6 +78,10 @@ class EvaluateConfig(PlannerOptions):
     keep_parts: bool = False
     """Leave the rows in the folder JSON.parts, in files of up to some thousand, and write into the
     JSON what they come to: for more of them than fit into memory."""
+    figure: Path | None = None
+    """Where a picture of the summary goes (needs the viz extra)."""
+    beside: tuple[Path, ...] = ()
+    """Results of the same problems, of other planners, that the picture shows, too."""
     cluster: Cluster = ALONE
 
 
@@ -93,9 +106,10 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     problems = StoredProblems(config.problems, planner.robot)
     num = min(len(problems), config.num_problems or len(problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
-    for name in ("json", "cluster", "keep_parts"):  # change no row
+    for name in ("json", "cluster", "keep_parts", "figure", "beside"):  # change no row
         del settings[name]
     settings |= {"num_problems": num, "radius": planner.radius}
+    draw = _drawing(config, settings)
     results = {
         "format": FORMAT,
         "complete": False,
@@ -117,8 +131,12 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
             time_limit=config.time_limit,
         )
         if place.count > 1 or config.keep_parts or parts.exists():
-            return _evaluate_parts(run, results, parts, others, config)
-        return _evaluate(run, results, config.json)
+            results = _evaluate_parts(run, results, parts, others, config)
+        else:
+            results = _evaluate(run, results, config.json)
+        if results:
+            draw(results)
+        return results
 
 
 def _in_processes(
@@ -145,6 +163,55 @@ def _check_processes(config: EvaluateConfig) -> None:
 def _arm(config: EvaluateConfig) -> Robot:
     robot = load_robot(config.robot)
     return robot if config.attach is None else attach_from_json(robot, config.attach)
+
+
+# What results share that a picture compares.
+_SAME = ("problems", "num_problems", "robot", "attach", "time_limit")
+
+
+def _drawing(
+    config: EvaluateConfig, settings: dict[str, Any]
+) -> Callable[[dict[str, Any]], object]:
+    """What draws results into the picture that is asked for, with those beside.
+
+    Raises:
+        InputError: a picture that cannot be drawn, or others that are not of the same problems.
+    """
+    if config.figure is None:
+        if config.beside:
+            raise InputError("--beside names results for a picture; give --figure, too")
+        return lambda results: None
+    with needs_extra("--figure", "viz"):
+        from gnnjax.measure.figure import draw_summary
+        from gnnjax.plot import check_picture
+    figure = check_picture(config.figure)
+    others = {path.stem: read_results(path, rows=False) for path in config.beside}
+    for name, other in others.items():
+        theirs = other["settings"]
+        for key in _SAME:
+            if _shared(theirs, key) != _shared(settings, key):
+                raise InputError(
+                    f"{name!r} of --beside has {key} {brief(theirs.get(key))}, not "
+                    f"{brief(settings[key])}; name results of the same problems"
+                )
+
+    def draw(results: dict[str, Any]) -> None:
+        named = {config.json.stem: results} | others
+        titles = [title_of(each["settings"]) for each in named.values()]
+        summaries = {
+            f"{title} ({name})" if titles.count(title) > 1 else title: each["summary"]
+            for title, (name, each) in zip(titles, named.items(), strict=True)
+        }
+        title = f"{config.problems.stem}, {settings['time_limit']:g} s a problem at most"
+        draw_summary(summaries, title, figure)
+
+    return draw
+
+
+def _shared(settings: dict[str, Any], key: str) -> Any:
+    """A setting by which results compare; a path by its name, wherever it was named from."""
+    value = settings.get(key)
+    return Path(value).stem if key in ("problems", "robot") else value
 
 
 def _evaluate(run: Batches, results: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -214,10 +281,10 @@ def _ompl(config: EvaluateConfig) -> dict[str, str]:
 
 def main() -> None:
     """Evaluates what the command line asks for."""
-    config = tyro.cli(EvaluateConfig)
+    config = parse_arguments(EvaluateConfig)
     if results := evaluate(config):
         print_summary(results)
-        print(f"wrote {config.json}")
+        print(f"wrote {config.json}" + (f" and {config.figure}" if config.figure else ""))
 
 
 if __name__ == "__main__":

@@ -4,12 +4,13 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.errors import InputError, run_command
+from gnnjax.errors import needs_extra, run_command
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.trajectory.execution import Execution, execute_trajectory, motion_clearance
@@ -64,17 +65,14 @@ def main(config: ExecuteConfig) -> int:
     scene = read_scene(config.scene, robot)
     draw = None
     if config.figure is not None:
-        try:
+        with needs_extra("--figure", "viz"):
             from gnnjax.plot import check_picture
             from gnnjax.plot_execution import draw_execution as draw
-        except ImportError as error:
-            raise InputError(
-                f"--figure needs the viz extra ({error}); pip install 'gnnjax[viz]'"
-            ) from None
         check_picture(config.figure)
     if config.video is not None:
         check_video(config.video)
     errors = ModelErrors(config.mass_error, config.friction, config.delay, config.payload)
+    print("compiling and simulating, which takes some seconds ...")
     found = execute_trajectory(
         robot,
         scene,
@@ -103,10 +101,13 @@ def main(config: ExecuteConfig) -> int:
 def _tell(robot: Robot, found: Execution) -> None:
     """Prints a summary."""
     uses = np.abs(found.trace.torques / found.trace.torque_limit).max(axis=0)
-    table = Table("joint", "largest error", "rms error", "torque, % of its limit")
+    units = escape("[rad or m]")
+    table = Table(
+        *("joint", f"largest error\n{units}", f"rms error\n{units}", "largest torque\n% of limit")
+    )
     for row in zip(robot.joint_names, found.max_error, found.rms_error, uses, strict=True):
         name, most, rms, use = row
-        table.add_row(name, f"{most:.5f}", f"{rms:.5f}", f"{100 * use:.1f}")
+        table.add_row(escape(name), f"{most:.5f}", f"{rms:.5f}", f"{100 * use:.1f}")
     Console().print(table)
     print(f"motion of {found.duration:.2f} s; the last link is off by up to {_mm(found.tip_error)}")
 
@@ -116,4 +117,4 @@ def _mm(length: float) -> str:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(ExecuteConfig)))
+    run_command(lambda: main(parse_arguments(ExecuteConfig)))

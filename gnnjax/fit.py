@@ -8,16 +8,19 @@ for those who want to change them by hand, or plan without the exact shapes.
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.covers import Rows, cover_file, save_cover
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.errors import InputError, run_command
+from gnnjax.errors import InputError, needs_extra, run_command
 from gnnjax.files import atomic_write, check_target
 
 _ROUNDING = 1e-5  # m by which saved spheres are larger: an MJCF has six digits
@@ -27,7 +30,7 @@ _ROUNDING = 1e-5  # m by which saved spheres are larger: an MJCF has six digits
 class FitConfig:
     """Show and save the spheres that enclose an arm's links."""
 
-    robot: tyro.conf.Positional[str]
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ARM")]
     """Shipped robot, or path of an MJCF (.xml) or URDF (.urdf)."""
     out: Path | None = None
     """An MJCF (.xml) of the arm with these spheres as its collision geometry."""
@@ -45,18 +48,18 @@ def fit(config: FitConfig) -> Robot:
             raise InputError(f"out is {str(config.out)!r}; its name must end in .xml, of an MJCF")
     draw_cover = None
     if config.picture is not None:
-        try:
+        with needs_extra("--picture", "viz"):
             from gnnjax.plot import check_picture, draw_cover
-        except ModuleNotFoundError:
-            raise InputError("picture needs matplotlib: pip install 'gnnjax[viz]'") from None
         check_picture(config.picture)
     robot = load_robot(config.robot)
     over = 1e3 * (robot.geom_radii - robot.geom_inner_radii)
-    table = Table("part", "body", "spheres", "overshoot [mm]", title=f"{robot.name}")
+    table = Table(title=escape(robot.name))
+    for name in ("part", "body", "spheres", "overshoot [mm]"):
+        table.add_column(escape(name), overflow="fold")
     for number, part in enumerate(robot.parts):
         rows = robot.geom_parts == number
         body = robot.bodies[part.body].name if part.body >= 0 else "world"
-        table.add_row(part.name, body, str(rows.sum()), f"{over[rows].max():.1f}")
+        table.add_row(escape(part.name), escape(body), str(rows.sum()), f"{over[rows].max():.1f}")
     table.add_row("all", "", str(len(over)), f"{over.max():.1f}", style="bold")
     Console().print(table)
     print(f"{len(robot.self_pairs)} pairs of spheres tell whether the arm meets itself")
@@ -128,7 +131,7 @@ def _keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def main() -> None:
-    fit(tyro.cli(FitConfig))
+    fit(parse_arguments(FitConfig))
 
 
 if __name__ == "__main__":

@@ -16,9 +16,9 @@ from typing import Any
 
 import jax
 import numpy as np
-import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.collision.checker import Backend
@@ -196,4 +196,4 @@ def _draw_shards(robot: Robot, folder: Path, num: int, ours: dict[str, Any], pla
 
 
 if __name__ == "__main__":
-    run_command(lambda: generate(tyro.cli(GenerateConfig)) and None)
+    run_command(lambda: generate(parse_arguments(GenerateConfig)) and None)

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gnnjax.errors import InputError, run_command
+from gnnjax.arguments import parse_arguments
+from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
@@ -55,13 +56,9 @@ def main(config: PlanConfig) -> int:
     planner = own_planner(robot, config)
     draw = None
     if config.image is not None:
-        try:
+        with needs_extra("--image", "viz"):
             from gnnjax.plot import check_picture
             from gnnjax.plot import draw_plan as draw
-        except ImportError as error:
-            raise InputError(
-                f"--image needs the viz extra ({error}); pip install 'gnnjax[viz]'"
-            ) from None
         check_picture(config.image)
     print("compiling (the first run takes up to a minute, later ones seconds) and planning ...")
     wanted = config if moves else False
@@ -111,4 +108,4 @@ def main(config: PlanConfig) -> int:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(PlanConfig)))
+    run_command(lambda: main(parse_arguments(PlanConfig)))

@@ -12,6 +12,7 @@ from typing import Any
 
 import tyro
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.measure.result_files import read_results
@@ -120,7 +121,7 @@ def _run(row: dict[str, Any]) -> tuple:
 
 def main() -> None:
     """Writes what the command line asks for."""
-    config = tyro.cli(ArenaConfig)
+    config = parse_arguments(ArenaConfig)
     print(f"wrote {planner_arena(config)}, of {len(config.results)} files")
 
 

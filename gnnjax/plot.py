@@ -18,6 +18,8 @@ from gnnjax.scene.scene import Scene, rotation_matrices
 from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
 
 _MOST_POINTS = 5000  # of a cloud that are drawn
+_PIECE = 0.08  # m; pieces in which obstacles are drawn
+_OBSTACLE, _BASE = np.array([0.6, 0.6, 0.6, 0.35]), np.array([0.45, 0.45, 0.45, 0.9])
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
@@ -38,24 +40,26 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
     positions, rotations = (np.asarray(x) for x in forward_kinematics(robot, jnp.asarray(shots)))
     tip = np.asarray(forward_kinematics(robot, jnp.asarray(_along(path, 200)))[0])[:, -1]
     colors = matplotlib.colormaps["coolwarm"](np.linspace(0, 1, len(shots)))
-    parts = _part_faces(robot)
+    parts, drawn = _part_faces(robot), _obstacle_faces(scene)
+    still = (np.ptp(rotations, axis=0) < 1e-3).all(axis=(1, 2))  # on the way from start to goal
+    still &= (np.ptp(positions, axis=0) < 1e-3).all(axis=1)
+    for shot, color in enumerate(colors):
+        color[3] = 0.9 if shot in (0, len(shots) - 1) else 0.12
+        for body, faces in parts:
+            placed = faces
+            if body >= 0:
+                placed = faces @ rotations[shot, body].T + positions[shot, body]
+            if body >= 0 and not still[body]:
+                drawn.append((placed, _shaded(placed, color)))
+            elif shot == 0:
+                drawn.append((placed, _shaded(placed, _BASE)))
+    faces, colors = (np.concatenate(x) for x in zip(*drawn, strict=True))
     for column, azimuth in enumerate((-60, 30), start=1):
         axes = figure.add_subplot(1, 2, column, projection="3d", computed_zorder=True)
-        _draw_obstacles(axes, scene)
+        # All in one, or what is in front is not told face by face.
+        axes.add_collection3d(Poly3DCollection(faces, facecolors=colors, linewidth=0))
+        _draw_cloud(axes, scene)
         axes.plot(*tip.T, color="black", linewidth=1.2, linestyle=":")
-        for shot, color in enumerate(colors):
-            placed = [
-                faces @ rotations[shot, body].T + positions[shot, body] if body >= 0 else faces
-                for body, faces in parts
-            ]
-            axes.add_collection3d(
-                Poly3DCollection(
-                    np.concatenate(placed),
-                    facecolors=np.concatenate([_shaded(faces, color[:3]) for faces in placed]),
-                    alpha=0.9 if shot in (0, len(shots) - 1) else 0.12,
-                    linewidth=0,
-                )
-            )
         axes.set(xlim=(-0.9, 0.9), ylim=(-0.9, 0.9), zlim=(0, 1.35))
         axes.set(xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5), zticks=(0, 0.5, 1))
         axes.set(xlabel="x [m]", ylabel="y [m]")
@@ -109,15 +113,17 @@ def draw_cover(robot: Robot, out: str | Path) -> None:
     atomic_write(out, lambda file: figure.savefig(file, dpi=130))
 
 
-def check_picture(out: str | Path) -> None:
-    """Refuses a picture file that `draw_plan` could not write.
+def check_picture(out: str | Path) -> Path:
+    """Returns the path of a picture that can be written.
 
     Raises:
         InputError: a folder, or an ending that names no format.
     """
     known = sorted(FigureCanvasBase.get_supported_filetypes())
-    if check_target(out).suffix.lower().removeprefix(".") not in known:
+    path = check_target(out)
+    if path.suffix.lower().removeprefix(".") not in known:
         raise InputError(f"picture {str(out)!r} has no known ending; there are {known}")
+    return path
 
 
 def _part_faces(robot: Robot) -> list[tuple[int, np.ndarray]]:
@@ -144,10 +150,27 @@ def _part_faces(robot: Robot) -> list[tuple[int, np.ndarray]]:
 
 
 def _shaded(faces: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """Colours `[F, 3]` of faces, by how they face the light."""
+    """Colours `[F, 4]` of faces, by how they face the light."""
     normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 1])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return np.clip((0.7 + 0.3 * normals @ (0.3, -0.5, 0.8))[:, None] * color, 0, 1)
+    light = 0.7 + 0.3 * normals @ (0.3, -0.5, 0.8)
+    return np.clip(np.c_[light[:, None] * color[:3], np.full(len(faces), color[3])], 0, 1)
+
+
+def _cut_up(faces: np.ndarray) -> np.ndarray:
+    """The same faces `[F, 4, 3]` in pieces, of which each is wholly before or behind others."""
+    found = []
+    for face in faces:
+        sides = np.linalg.norm(face - np.roll(face, 1, axis=0), axis=1)
+        across, along = (
+            np.ceil(max(x) / _PIECE).astype(int) + 1 for x in (sides[::2], sides[1::2])
+        )
+        v, u = np.meshgrid(np.linspace(0, 1, across), np.linspace(0, 1, along), indexing="ij")
+        weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1)
+        grid = weights @ face
+        corners = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+        found.append(np.stack(corners, axis=2).reshape(-1, 4, 3))
+    return np.concatenate(found)
 
 
 def _draw_box(half_extents: np.ndarray, radii: np.ndarray) -> np.ndarray:
@@ -158,8 +181,7 @@ def _draw_box(half_extents: np.ndarray, radii: np.ndarray) -> np.ndarray:
 def _draw_ball(half_extents: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """A sphere, or a capsule: its halves pulled apart."""
     faces = radii[1] * _unit_sphere()
-    middle = faces[..., 2].mean(axis=1, keepdims=True)
-    faces[..., 2] += np.where(middle > 0, 1, -1) * half_extents[2]
+    faces[..., 2] += np.sign(faces[..., 2]) * half_extents[2]  # no corner is in the middle
     return faces
 
 
@@ -192,19 +214,24 @@ _DRAW = for_every_kind(
 )
 
 
-def _draw_obstacles(axes, scene: Scene) -> None:
+def _draw_cloud(axes, scene: Scene) -> None:
     if scene.cloud is not None:
         points = np.asarray(scene.cloud.points)[: int(scene.cloud.num)]
         points = points[:: -(-len(points) // _MOST_POINTS) or 1]
         axes.scatter(*points.T, s=1, color="0.45", alpha=0.6, linewidth=0)
+
+
+def _obstacle_faces(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Faces `[F, 4, 3]` m of each obstacle, and their colours `[F, 4]`."""
+    found = []
     rotations = np.asarray(rotation_matrices(jnp.asarray(scene.quats)))
     kinds = kind_of(scene.half_extents, scene.radii)
     for i in np.flatnonzero(np.asarray(scene.mask)):
         sizes = np.asarray(scene.half_extents[i]), np.asarray(scene.radii[i])
         faces = _DRAW[KINDS[kinds[i]]](*sizes) @ rotations[i].T + np.asarray(scene.centers[i])
-        axes.add_collection3d(
-            Poly3DCollection(faces, facecolor="0.6", edgecolor="0.35", alpha=0.35, linewidth=0.5)
-        )
+        pieces = _cut_up(faces)
+        found.append((pieces, _shaded(pieces, _OBSTACLE)))
+    return found
 
 
 def _along(path: np.ndarray, count: int) -> np.ndarray:

@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import tyro
 from flax import nnx
 from jax.sharding import Mesh
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.devices import cache_compilations
@@ -98,6 +98,8 @@ class TrainConfig:
     """Epochs between validations, which plan, and checkpoints."""
     validation_problems: int = 100
     """Problems to plan, drawn apart from all others; 0 to validate nothing."""
+    figure: Path | None = None
+    """Where a picture of the training curves goes, at each checkpoint (needs the viz extra)."""
     cluster: ConnectedCluster = UNCONNECTED
 
 
@@ -247,7 +249,7 @@ def _train(config: TrainConfig, mesh: Mesh | None) -> Path:
         validation = generate_labelled(robot, 0)(keys)
     graphdef, weights = nnx.split(network)
     optimizer = make_optimizer(config, num_steps)
-    step = make_step(graphdef, optimizer, robot, config, *([] if mesh is None else [mesh]))
+    step = make_step(graphdef, optimizer, robot, config, mesh)
     state = TrainState(weights, optimizer.init(weights))
 
     def one_step(state: TrainState, epoch: int, number: int):
@@ -306,9 +308,11 @@ def _check_config(config: TrainConfig) -> None:
 def parse() -> TrainConfig:
     """Reads the command line; `--preset` says what the other options start from."""
     parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument("--preset", choices=list(PRESETS), default="default")
-    preset = parser.parse_known_args()[0].preset
-    return tyro.cli(TrainConfig, default=PRESETS[preset])
+    parser.add_argument("--preset", nargs="?")
+    preset = parser.parse_known_args()[0].preset or "default"
+    if preset not in PRESETS:
+        raise InputError(f"no preset {preset!r}; there are {list(PRESETS)}")
+    return parse_arguments(TrainConfig, default=PRESETS[preset])
 
 
 def main() -> None:

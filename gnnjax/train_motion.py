@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import tyro
 from flax import nnx
 from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.collision.checker import make_checker
@@ -71,6 +71,8 @@ class TrainMotionConfig:
     """See `MotionNetwork`."""
     save_every: int = 100
     """Steps between checkpoints and log records, which validate."""
+    figure: Path | None = None
+    """Where a picture of the training curves goes, at each checkpoint (needs the viz extra)."""
     cluster: ConnectedCluster = UNCONNECTED
 
 
@@ -308,4 +310,4 @@ def _check_config(config: TrainMotionConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: train_motion(tyro.cli(TrainMotionConfig)) and None, AGAIN)
+    run_command(lambda: train_motion(parse_arguments(TrainMotionConfig)) and None, AGAIN)

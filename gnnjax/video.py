@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, one_line
+from gnnjax.errors import InputError, needs_extra, one_line
 from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.mujoco_world import obstacles, place_boxes, world_spec
 from gnnjax.scene.scene import Scene
@@ -37,12 +37,8 @@ def check_video(out: str | Path) -> Path:
     path = check_target(out)
     if path.suffix.lower() not in _ENCODERS:
         raise InputError(f"video {str(out)!r} has the ending {path.suffix!r}; give .gif or .mp4")
-    try:
+    with needs_extra(path.suffix, "video"):
         _IMPORTS[path.suffix.lower()]()
-    except ImportError as error:
-        raise InputError(
-            f"{path.suffix} needs the video extra ({error}); pip install 'gnnjax[video]'"
-        ) from None
     _renderer(mujoco.MjSpec().compile(), 16, 16, 0).close()
     return path
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import tyro
 from numpy.typing import ArrayLike
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief, run_command
+from gnnjax.errors import InputError, brief, needs_extra, run_command
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.pose.goal import PoseGoal
@@ -44,6 +44,7 @@ class ViewConfig(QueryOptions, PlannerOptions, MotionOptions):
 
 def main(config: ViewConfig) -> None:
     """Serves the page until it is interrupted."""
+    print("reading arm and scene; the page is there in some seconds ...", flush=True)
     with contextlib.closing(open_page(config)) as page:
         shown = "localhost" if config.host in ("127.0.0.1", "0.0.0.0") else config.host
         print(f"open http://{shown}:{page.port} in a browser; Ctrl-C ends this", flush=True)
@@ -56,12 +57,8 @@ def open_page(config: ViewConfig):
     Raises:
         InputError: the view extra is missing, the port is taken, or a query that cannot be shown.
     """
-    try:
+    with needs_extra("gnnjax.view", "view"):
         from gnnjax.viewer.page import Page
-    except ImportError as error:
-        raise InputError(
-            f"gnnjax.view needs the view extra ({error}); pip install 'gnnjax[view]'"
-        ) from None
     _check_port(config.host, config.port)
     robot, query, pose = _read(config)
     return Page(own_planner(robot, config), query, pose, config)
@@ -106,4 +103,4 @@ def _check_port(host: str, port: int) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(tyro.cli(ViewConfig)))
+    run_command(lambda: main(parse_arguments(ViewConfig)))

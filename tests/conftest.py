@@ -4,9 +4,11 @@ import atexit
 import functools
 import gc
 import os
-from pathlib import Path
 
-import jax
+from tests.compiling import ENVIRONMENT
+
+os.environ.update(ENVIRONMENT)  # which commands that tests start read, too
+
 import pytest
 from _pytest.unraisableexception import gc_collect_iterations_key
 from jax._src.api import clean_up
@@ -19,24 +21,6 @@ from gnnjax.planning import attempts, pool
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 
-# Nearly all of the tests' time is compilation. Commands that tests start read this in their
-# environment.
-_SETTINGS = {
-    "jax_disable_most_optimizations": True,
-    "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".pytest_cache" / "jax"),
-    # Small programs take no longer to compile than to write and read.
-    "jax_persistent_cache_min_compile_time_secs": 0.1,
-}
-for _name, _value in _SETTINGS.items():
-    jax.config.update(_name, _value)
-    os.environ[_name.upper()] = str(_value)
-
-# What lowers fused loops takes half of what is left; without it they are fused as the shape has it,
-# and without fused multiply-adds that changes no result. Workers leave no core for further parts.
-if jax.__version_info__ < (0, 11):  # where the flags are known
-    _FLAGS = "--xla_cpu_use_fusion_emitters=false --xla_cpu_max_isa=AVX "
-    _FLAGS += "--xla_cpu_parallel_codegen_split_count=1"
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FLAGS}"
 # Arms that tests make up have few spheres a part, which leave more to the parts themselves.
 covers._MOST = 3
 # Calls are of one size each, where sizes are not what a test is about.

@@ -12,15 +12,16 @@ from pathlib import Path
 
 import nbformat
 
+from tests.compiling import ENVIRONMENT
 
-def executed(path: Path, first: str, folder: Path, environment: dict[str, str]):
+
+def executed(path: Path, first: str, folder: Path):
     """A notebook with the outputs of its cells, run in a folder.
 
     Args:
         path: of the notebook.
         first: code in place of the cell that installs the package.
         folder: where it is run.
-        environment: variables besides those of this process.
     """
     notebook = nbformat.read(path, as_version=4)
     (install,) = [cell for cell in notebook.cells if "%pip install" in cell.source]
@@ -32,7 +33,7 @@ def executed(path: Path, first: str, folder: Path, environment: dict[str, str]):
         [*command, str(copy)],
         capture_output=True,
         text=True,
-        env=os.environ | environment,
+        env=os.environ | ENVIRONMENT,
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
@@ -44,7 +45,7 @@ def main(paths: list[Path]) -> None:
     for path in paths:
         began = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
-            executed(path, "", Path(folder), {})
+            executed(path, "", Path(folder))
         print(f"{path.name}: {time.perf_counter() - began:.0f} s")
 
 

@@ -12,7 +12,13 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.baselines.ledger import Ledger, mujoco_checks
-from gnnjax.collision.certify import base_clear, certify_edges, certify_path, clearances
+from gnnjax.collision.certify import (
+    base_clear,
+    certify_edges,
+    certify_path,
+    clearances,
+    known_obstacles,
+)
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.collision.sequences import Items, SequenceTester
@@ -291,6 +297,10 @@ def test_whoever_cannot_leave_contacts_out_refuses_the_scene(robot, scene, bare,
     model = build_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
     problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(q[0], q[1], scene))
+    # The same in all but the name of a body.
+    (tmp_path / "other.xml").write_text(ARM.replace('"hand"', '"tool"'))
+    other = load_robot(tmp_path / "other.xml")
+    (tmp_path / "other.xml").unlink()
     wrong = scene._replace(allowed=scene.allowed._replace(arm=np.uint32(7)))
     refusals = [
         lambda: place_boxes(model, data, scene),
@@ -301,6 +311,7 @@ def test_whoever_cannot_leave_contacts_out_refuses_the_scene(robot, scene, bare,
         lambda: clearances(robot, wrong, q),
         lambda: base_clear(robot, wrong),
         lambda: certify_edges(robot, wrong, q[:1], q[1:2]),
+        lambda: certify_edges(other, known_obstacles(robot, scene), q[:1], q[1:2]),
         lambda: allow_contacts(robot, wrong, MEANT),
     ]
     for refuse in refusals:

@@ -19,7 +19,7 @@ from gnnjax.training.weights import load_network
 
 pytestmark = pytest.mark.whole
 
-DEVICES = "--xla_force_host_platform_device_count=2"
+DEVICES = {"JAX_NUM_CPU_DEVICES": "2"}
 
 
 def run_two(command, options, codes=None):
@@ -31,7 +31,6 @@ def run_two(command, options, codes=None):
         codes: what runs in place of the command, by process.
     """
     started = []
-    environment = os.environ | {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {DEVICES}"}
     for index in range(2):
         what = ["-c", codes[index]] if codes and index in codes else ["-m", f"gnnjax.{command}"]
         place = ["--distributed", "--process-id", str(index), "--process-count", "2"]
@@ -41,7 +40,7 @@ def run_two(command, options, codes=None):
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 text=True,
-                env=environment,
+                env=os.environ | DEVICES,
             )
         )
     said = [process.communicate()[1].splitlines() for process in started]
@@ -56,7 +55,7 @@ def save_and_die(*args, **kwargs):
     save(*args, **kwargs)
     os.kill(os.getpid(), signal.SIGKILL)
 command.save_shard = save_and_die
-command.generate(command.tyro.cli(command.GenerateConfig))
+command.generate(command.parse_arguments(command.GenerateConfig))
 """
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from gnnjax import devices
 from gnnjax.devices import map_first
+from gnnjax.errors import InputError
 
 
 def test_the_first_rows_are_mapped_with_one_trace_and_the_others_are_zero():
@@ -44,10 +45,11 @@ def test_rows_come_back_in_order_whatever_the_cores(monkeypatch, cores):
         traces.append(num)
         return devices.map_first(lambda row: (jnp.sqrt(row["x"]), row["n"] + 1), num, args)
 
-    for _ in range(2):
-        root, following = devices.on_all_cores(roots, args)
-        np.testing.assert_array_equal(root, np.sqrt(args["x"]))
-        np.testing.assert_array_equal(following, np.arange(1, 8))
+    for num in (7, 3):  # compiled once for both
+        some = {name: x[:num] for name, x in args.items()}
+        root, following = devices.on_all_cores(roots, some)
+        np.testing.assert_array_equal(root, np.sqrt(some["x"]))
+        np.testing.assert_array_equal(following, np.arange(1, num + 1))
     assert len(traces) == 1
 
 
@@ -61,3 +63,26 @@ def test_what_goes_wrong_in_a_part_is_heard_of(monkeypatch):
 
     with pytest.raises(MemoryError, match="no room"):
         devices.on_all_cores(fails, np.arange(4))
+
+
+def test_searches_run_on_the_host_where_there_is_an_accelerator(monkeypatch):
+    host = jax.local_devices(backend="cpu")[0]
+
+    @devices.on_host()
+    def where():
+        shares = devices.shares_of(1000)
+        return devices.platform(), jax.config.jax_default_device, {share.device for share in shares}
+
+    assert where() == ("cpu", None, {None})
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert devices.platform() == "gpu"
+    # Threads begin anew, so that each share names the device.
+    assert where() == ("cpu", host, {host})
+    assert jax.config.jax_default_device is None
+
+    def missing(backend=None):
+        raise RuntimeError("Unknown backend cpu")
+
+    monkeypatch.setattr(jax, "local_devices", missing)
+    with pytest.raises(InputError, match="searches need the CPU, too; leave it out, or add ',cpu'"):
+        where()

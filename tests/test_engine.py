@@ -144,8 +144,8 @@ planner._run = spy
 plans = planner.plan_batch(problems)
 pickle.dump((len(jax.local_devices()), sorted(used), plans), open({str(target)!r}, "wb"))
 """
-    flags = "--xla_force_host_platform_device_count=2"
-    subprocess.run([sys.executable, "-c", code], env=os.environ | {"XLA_FLAGS": flags}, check=True)
+    environment = os.environ | {"JAX_NUM_CPU_DEVICES": "2"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
     with target.open("rb") as file:
         num, used, found = pickle.load(file)
     assert num == len(used) == 2

@@ -1,9 +1,10 @@
 """Errors in one line."""
 
 import jax
+import numpy as np
 import pytest
 
-from gnnjax.errors import InputError, brief, check_seed, run_command
+from gnnjax.errors import InputError, as_typed, brief, check_seed, run_command
 from gnnjax.training.run import AGAIN
 
 
@@ -78,3 +79,12 @@ def test_a_training_says_how_it_goes_on(capsys):
         run_command(main, AGAIN)
     line = "interrupted; start the same command again with --resume to go on\n"
     assert capsys.readouterr().err == line
+
+
+def test_numbers_are_said_as_they_were_typed():
+    typed = [[0.12, -3e-7, 1e30], [float("inf"), 2.0, 0.1]]
+    for kind in (np.float32, np.float64):
+        assert as_typed(np.array(typed, kind)) == typed
+    assert as_typed(np.float32(0.12).astype(float)) == 0.12
+    assert as_typed([0.12345678901234, 1e300]) == [0.12345678901234, 1e300]
+    assert np.isnan(as_typed(np.float32("nan")))

@@ -1,6 +1,7 @@
 """Evaluation: what is written, summed up, resumed and refused."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -109,7 +110,9 @@ def test_the_summary_is_that_of_its_rows(results, capsys):
     hard = [row for row in valid if row["hard"]]
     assert results["summary"]["hard"]["num_problems"] == len(hard)
     print_summary(results)
-    assert "2 invalid problems left out: [2, 4]" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "2 invalid problems left out: [2, 4]" in printed
+    assert re.search(r"checks +checks +\[rad\] +\[ms\] +\[ms\]", printed)
 
 
 def without_times(rows):
@@ -189,6 +192,51 @@ def test_a_run_that_was_cut_off_in_a_batch_comes_to_the_same_rows(
     assert resumed["problems"][:kept] == found["problems"][:kept]
     assert without_times(resumed["problems"]) == without_times(whole["problems"])
     assert resumed["settings"] == found["settings"]
+
+
+def test_a_picture_shows_results_beside_those_of_others(tiny_path, problems, results, tmp_path):
+    for name in ("one", "other", "prm"):
+        changed = json.loads(json.dumps(results))
+        changed["settings"]["planner"] = "prm" if name == "prm" else "lazysp"
+        changed["summary"]["hard"]["cost"] = None  # nothing solved
+        (tmp_path / f"{name}.json").write_text(json.dumps(changed))
+    pictures = {"figure": tmp_path / "summary.svg"}
+    pictures["beside"] = tmp_path / "other.json", tmp_path / "prm.json"
+    found = evaluate(config(tiny_path, problems, tmp_path / "one.json", **pictures))
+    assert found["problems"] == results["problems"]  # nothing was planned again
+    assert "figure" not in found["settings"]
+    # Matplotlib says in comments what it writes as outlines.
+    words = (tmp_path / "summary.svg").read_text()
+    solved = f"{100 * results['summary']['all']['success']:.1f}"
+    for title in ("lazysp, 40 nodes (one)", "lazysp, 40 nodes (other)", "prm, 40 nodes"):
+        assert words.count(f"<!-- {title} -->") == 2  # for each row of panels
+    assert words.count(f"<!-- {solved} -->") >= 3
+    assert "<!-- total time [ms] -->" in words
+    assert "<!-- all problems (4) -->" in words
+
+
+def test_a_picture_that_cannot_be_is_refused_before_planning(
+    tiny_path, problems, results, tmp_path, monkeypatch
+):
+    of_others, cut = json.loads(json.dumps(results)), json.loads(json.dumps(results))
+    of_others["settings"]["time_limit"] = 1.0
+    cut["complete"] = False
+    for name, held in (("others", of_others), ("cut", cut)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(held))
+    figure, out = tmp_path / "summary.png", tmp_path / "out.json"
+    others = tmp_path / "others.json", tmp_path / "cut.json"
+    for pictures, message in (
+        ({"figure": tmp_path / "summary.doc"}, "summary.doc' has no known ending; there are"),
+        ({"beside": others}, "--beside names results for a picture; give --figure, too"),
+        ({"figure": figure, "beside": others[:1]}, r"'others' of .* has time_limit 1.0, not 5.0"),
+        ({"figure": figure, "beside": others[1:]}, "cut.json' holds results that were cut off"),
+    ):
+        with pytest.raises(InputError, match=message):
+            evaluate(config(tiny_path, problems, out, **pictures))
+    monkeypatch.setitem(sys.modules, "gnnjax.measure.figure", None)
+    with pytest.raises(InputError, match=r"--figure needs the viz extra .*gnnjax\[viz\]"):
+        evaluate(config(tiny_path, problems, out, figure=figure))
+    assert not out.exists()
 
 
 class ShortOfMemory:

@@ -94,11 +94,10 @@ def test_no_further_goal_is_tried_when_time_is_over():
 def test_a_problem_is_given_up_with_its_last_roadmap(planner):
     rows = np.array([START, START], np.float32)
     scenes = jax.tree.map(lambda x: np.stack([x, x]), make_scene(**BOX))
-    progress = Progress(planner.robot, Problem(rows, rows, scenes))
-    progress.roadmaps[:] = [0, 1]
-    assert progress.open(np.inf).tolist() == [True, True]
-    progress.most_roadmaps = 1
-    assert progress.open(np.inf).tolist() == [True, False]
+    for most, is_open in ((None, [True, True]), (1, [True, False])):
+        progress = Progress(planner.robot, Problem(rows, rows, scenes), most_roadmaps=most)
+        progress.roadmaps[:] = [0, 1]
+        assert progress.open(np.inf).tolist() == is_open
 
 
 def test_of_several_goals_the_cheapest_is_planned_to(planner):

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import jax
 import nbformat
 import pytest
 
@@ -32,8 +31,7 @@ def sparing(folder):
 @pytest.mark.whole
 def test_the_quickstart_runs_from_top_to_bottom(tmp_path):
     (path,) = [path for path in NOTEBOOKS if path.stem == "quickstart"]
-    cache = {"JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir or ""}
-    notebook = executed(path, sparing(tmp_path), tmp_path, cache)
+    notebook = executed(path, sparing(tmp_path), tmp_path)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert all(cell.execution_count for cell in code)
     outputs = [output for cell in code for output in cell.outputs]

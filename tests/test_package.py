@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -23,19 +22,15 @@ def test_everything_public_is_there_and_documented(name):
 
 def test_the_table_of_contents_is_complete():
     tree = ast.parse((ROOT / "gnnjax" / "__init__.py").read_text())
-    imported = {a.name for n in tree.body if isinstance(n, ast.ImportFrom) for a in n.names}
+    froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    imported = {a.name for n in froms if n.module.startswith("gnnjax.") for a in n.names}
     assert imported == set(gnnjax.__all__)
-
-
-def test_files_that_the_texts_name_exist():
-    for text in ROOT.glob("*.md"):
-        for target in re.findall(r"\]\((?!http)([^)#]+)\)", text.read_text()):
-            assert (ROOT / target).exists(), f"{text.name} names {target}"
 
 
 # Imports go down this list only.
 ORDER = """
-interruption errors per_object files devices clock roll_call cluster
+interruption errors arguments per_object files devices clock digest surroundings kept roll_call
+cluster
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
@@ -48,6 +43,7 @@ collision.fused collision.mjx collision.points collision.cloud collision.checker
 collision.obstacles collision.hulls collision.bounds collision.link_frames
 collision.gaps collision.certify collision.margins
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
+plot
 pose.goal pose.chain pose.solver pose.inverse pose.reasons
 guide.guide guide.view guide.motion guide.field
 search.knowledge search.greedy search.lazy search.rounds search.shorten
@@ -62,11 +58,12 @@ planning.strategy planning.walks planning.guided planning.pool planning.shorteni
 planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.execution
-training.weights training.checkpoint training.parallel training.run
+training.weights training.checkpoint training.parallel training.figure training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
 measure.machine measure.rows measure.batches measure.result_files measure.statistics measure.table
-generate paper.losses train train_motion evaluate planner_arena plot video query_options plan
+measure.figure
+generate paper.losses train train_motion evaluate planner_arena video query_options plan
 plot_execution execute fit
 viewer.frames viewer.meshes viewer.worker viewer.answers viewer.session viewer.prices viewer.stage
 viewer.player viewer.ends viewer.obstacles viewer.saving viewer.downloads viewer.panel viewer.page
@@ -122,6 +119,7 @@ def test_no_module_imports_one_that_comes_after_it():
 
 
 GUESTS = ("gnnjax.paper", "gnnjax.baselines", "jraph", "orbax", "tensorboardX", "scipy.stats")
+GUESTS += ("flax", "optax")
 
 
 def test_planning_with_the_default_planner_loads_neither_the_paper_nor_its_libraries(tiny_path):

@@ -4,10 +4,13 @@ import importlib
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from gnnjax.plot import _obstacle_faces
 from gnnjax.scene import shapes
-from gnnjax.scene.shapes import KINDS, TABLES, for_every_kind
+from gnnjax.scene.scene import scene_from_shapes
+from gnnjax.scene.shapes import KINDS, TABLES, box, capsule, cylinder, for_every_kind
 
 # Whatever meets obstacles; a new one belongs here.
 CONSUMERS = {
@@ -66,3 +69,27 @@ def test_there_are_no_other_tables():
 def test_an_entry_that_is_no_kind_is_refused():
     with pytest.raises(TypeError, match=r"the cook has entries for \['pie'\], which are no"):
         for_every_kind("cook", **dict.fromkeys(KINDS, 1), pie=2)
+
+
+def area(faces):
+    halves = (np.cross(faces[:, i] - faces[:, 0], faces[:, i + 1] - faces[:, 0]) for i in (1, 2))
+    return sum(np.linalg.norm(half, axis=1).sum() for half in halves) / 2
+
+
+def test_pictures_show_the_whole_surface_in_pieces_that_can_be_told_apart():
+    scene = scene_from_shapes(
+        [
+            box([0.5, 0, 0.5], [0.3, 0.1, 0.2], quat=[0.5, 0.5, 0.5, -0.5]),
+            capsule([0, 0.6, 0.5], 0.1, 0.3),
+            cylinder([0, -0.6, 0.5], 0.1, 0.3),
+        ]
+    )
+    expected = [
+        8 * (0.3 * 0.1 + 0.1 * 0.2 + 0.2 * 0.3),
+        4 * np.pi * 0.1 * (0.1 + 0.3),
+        2 * np.pi * 0.1 * (0.1 + 0.6),
+    ]
+    for (faces, colors), whole in zip(_obstacle_faces(scene), expected, strict=True):
+        assert 0.93 * whole < area(faces) < 1.001 * whole
+        assert np.linalg.norm(faces - np.roll(faces, 1, axis=1), axis=2).max() < 0.081
+        assert colors.shape == (len(faces), 4)

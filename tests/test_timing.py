@@ -214,7 +214,7 @@ def test_a_batch_is_what_its_paths_are_alone(free, monkeypatch, backend):
     paths = random_paths(free, 6)
     assert {size_of(path) for path in paths} == {2, 4}
     alone = [time_path(free, NOTHING, path, **limits) for path in paths]
-    monkeypatch.setattr("gnnjax.trajectory.trajectory.jax.default_backend", lambda: backend)
+    monkeypatch.setattr("gnnjax.trajectory.batches.platform", lambda: backend)
     together = time_paths(free, NOTHING, paths, **limits)
     for one, other in zip(together, alone, strict=True):
         np.testing.assert_allclose(one.timing.times, other.timing.times, rtol=1e-9)

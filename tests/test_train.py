@@ -41,9 +41,9 @@ def compiled_once():
     steps, planners = {}, {}
     make_step, make_planner = gnnjax.train.make_step, gnnjax.train.WalkPlanner
 
-    def shared_step(graphdef, optimizer, robot, config):
-        key = dataclasses.replace(config, out=Path(), resume=False)
-        return steps.setdefault(key, make_step(graphdef, optimizer, robot, config))
+    def shared_step(graphdef, optimizer, robot, config, mesh):
+        key = dataclasses.replace(config, out=Path(), resume=False), mesh
+        return steps.setdefault(key, make_step(graphdef, optimizer, robot, config, mesh))
 
     def shared_planner(robot, strategy, options):
         return planners.setdefault(options, make_planner(robot, strategy, options))
@@ -266,6 +266,25 @@ def test_a_kill_between_checkpoint_and_log_loses_no_record(network, tmp_path, mo
     assert [e.simple_value for e in read_events(events) if e.tag == "loss"] == [0.5, 0.25]
 
 
+def test_the_curves_are_drawn_with_each_checkpoint(network, tmp_path):
+    state, figure = TrainState(nnx.state(network, nnx.Param), {}), tmp_path / "curves.svg"
+    first = {"epoch": 1, "loss": 0.5, "walk_loss": float("nan"), "seconds": 30.0}
+    second = {"epoch": 2, "loss": 0.25, "seconds": 60.0, "validation_cost": 7.0}
+    with TrainingRun(tmp_path / "run", network, {}, "epoch", figure=figure) as run:
+        run.begin(state, resume=False)
+        run.add(first)
+        assert not figure.exists()
+        run.add(second, state)
+        # Matplotlib says in comments what it writes as outlines.
+        words = figure.read_text()
+        assert "<!-- run: epoch 2, after 1.5 min -->" in words
+        for title in ("training loss [nat]", "walk_loss", "validation: cost of the path [rad]"):
+            assert words.count(f"<!-- {title} -->") == 1
+        figure.unlink()
+        run.finish(state.weights)
+        assert figure.exists()
+
+
 def test_two_trainings_do_not_share_a_folder(network, tmp_path):
     with TrainingRun(tmp_path / "run", network, {}, "epoch"):
         with pytest.raises(InputError, match=r"written by process .* choose another place"):
@@ -318,9 +337,13 @@ def test_the_command_line_leaves_parts_out_and_keeps_the_preset(monkeypatch):
     assert config == dataclasses.replace(
         PRESETS["paper"], without=("gat", "path"), num_roadmaps=100, epochs=3
     )
-    monkeypatch.setattr("sys.argv", "train --without gru".split())
-    with pytest.raises(SystemExit):
-        parse()
+    for words, message in (
+        ("--without gru", "invalid choice 'gru' for argument '--without'"),
+        ("--preset papers", r"no preset 'papers'; there are \['default', 'paper', 'smoke'\]"),
+    ):
+        monkeypatch.setattr("sys.argv", ["train", *words.split()])
+        with pytest.raises(InputError, match=message):
+            parse()
 
 
 @pytest.mark.parametrize("name", ["adamw", "sgd"])

@@ -114,6 +114,15 @@ def test_a_resumed_run_comes_to_the_same_numbers(finished, tmp_path, monkeypatch
         np.testing.assert_array_equal(ours, theirs)
 
 
+def test_a_finished_run_is_drawn_without_a_further_step(finished, tmp_path):
+    log, figure = records(finished), tmp_path / "curves.svg"
+    train_motion(dataclasses.replace(finished, resume=True, figure=figure))
+    assert records(finished) == log
+    words = figure.read_text()
+    assert "<!-- motion: step 24, after " in words
+    assert "<!-- edge_auc_tiny -->" in words
+
+
 def test_with_nothing_to_resume_a_run_starts_from_the_beginning(finished, tmp_path):
     config = dataclasses.replace(finished, out=tmp_path / "new", resume=True)
     train_motion(config)
@@ -123,6 +132,7 @@ def test_with_nothing_to_resume_a_run_starts_from_the_beginning(finished, tmp_pa
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"figure": Path("curves.doc")}, "picture 'curves.doc' has no known ending"),
         ({"steps": 0}, "steps is 0; it must be at least 1"),
         ({"scenes": 0}, "scenes is 0"),
         ({"motions": 1}, "motions is 1; it must be at least 2"),

@@ -25,13 +25,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
-# Nearly all of the time is compilation, which the tests' folder keeps.
+from tests.compiling import ENVIRONMENT
+
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-os.environ.setdefault(
-    "JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache/jax")
-)
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.update(ENVIRONMENT)
 
 import numpy as np
 import tyro

@@ -12,7 +12,7 @@ from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
 from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of, scene_faults
 from gnnjax.errors import InputError, brief
-from gnnjax.scene.allowed import check_allowed
+from gnnjax.scene.allowed import check_allowed, check_arm
 from gnnjax.scene.scene import Scene, make_scene
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
@@ -160,6 +160,8 @@ def known_obstacles(robot: Robot, scene: Scene | Obstacles) -> Obstacles:
             arm.
     """
     if isinstance(scene, Obstacles):
+        if scene.allowed is not None:
+            check_arm(robot, scene.arm)
         return scene
     check_allowed(robot, scene)
     return obstacles_of(scene)

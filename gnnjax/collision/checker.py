@@ -183,7 +183,7 @@ def _check_edges(
     # Large batches stop early edge by edge; a lone edge is tested in one or two blocks.
     block = max(8, min(64, 512 // max(num_edges, 1)))
     max_intervals, table = len(order) - 1, jnp.asarray(order)
-    low, high, intervals, testable = _cut(starts, ends, resolution, max_intervals)
+    low, high, intervals, testable = cut_edges(starts, ends, resolution, max_intervals)
 
     def unfinished(state):
         done, valid, _ = state
@@ -209,10 +209,10 @@ def _check_edges(
     return EdgeChecks(valid, num_checks)
 
 
-def _cut(
+def cut_edges(
     starts: jax.Array, ends: jax.Array, resolution: float, max_intervals: int
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Both ends of each edge, its intervals, and whether it can be tested."""
+    """Both ends of each edge `[E, D]`, its intervals, and whether it can be tested."""
     # Both directions of an edge test the very same floats, so that validity cannot depend on the
     # direction: the lexicographically smaller end comes first.
     differs = starts != ends
@@ -241,7 +241,7 @@ def _check_many_edges(
     num_edges, num_dof = starts.shape
     nobody = jnp.int32(num_edges)  # in rows without an edge; writes nothing
     max_intervals, table = len(order) - 1, jnp.asarray(order)
-    low, high, intervals, testable = _cut(starts, ends, resolution, max_intervals)
+    low, high, intervals, testable = cut_edges(starts, ends, resolution, max_intervals)
     to_test = jnp.where(testable, intervals - 1, 0)  # configurations
     queue = jnp.argsort(-to_test).astype(jnp.int32)
     num_queued = (to_test > 0).sum()

@@ -21,6 +21,7 @@ from gnnjax.arm.kinematics import WORLD, Frame, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.spheres import Obstacle, Passes, Placed
+from gnnjax.kept import kept_result
 
 SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
 WORD = 32  # bits
@@ -29,14 +30,14 @@ WORD = 32  # bits
 def hulls_of(robot: Robot) -> convex.Parts:
     """The arm's parts, with few vertices each, standing out by `SIMPLER` at most."""
     vertices, radii = _simpler(robot)
-    return convex.Parts(jnp.asarray(vertices), jnp.asarray(radii))
+    return jax.device_put(convex.Parts(vertices, radii))
 
 
 @functools.cache
 def _simpler(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Vertices `[T V 3]` and radii `[T]`; a second of work that kernels and certificates share."""
     simple = [
-        (p.vertices, 0.0) if len(p.vertices) <= 8 else simplify(p.vertices, SIMPLER)
+        (p.vertices, 0.0) if len(p.vertices) <= 8 else kept_result(simplify, p.vertices, SIMPLER)
         for p in robot.parts
     ]
     most = max(len(vertices) for vertices, _ in simple)
@@ -64,8 +65,8 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
     """Makes the functions of an arm."""
     hulls = hulls_of(robot)
     # The world's frame comes last.
-    bodies = jnp.array([part.body for part in robot.parts])
-    couples = jnp.asarray(robot.part_pairs.T)
+    bodies = jax.device_put(np.array([part.body for part in robot.parts], np.int32))
+    couples = jax.device_put(robot.part_pairs.T.astype(np.int32))
     radii, part_of, pair_of = robot.geom_radii.tolist(), robot.geom_parts.tolist(), _pairs(robot)
 
     def touching(obstacle: Obstacle, q: Float[Array, "N D"]) -> UInt[Array, "W N"]:

@@ -25,11 +25,14 @@ from gnnjax.collision.spheres import (
     place,
     sphere_centers,
 )
+from gnnjax.devices import platform
 from gnnjax.scene.geometry import squared_distance
 from gnnjax.scene.lookup import lookup, squared_distance_to
 from gnnjax.scene.scene import Scene, rotation_matrices
 
-_OPEN_AT_ONCE = 32  # configurations that spheres leave open, and are decided together
+# Configurations that spheres leave open, and are decided together: so many, and on an accelerator,
+# which takes as long for a thousand as for one, a share of all.
+_OPEN_AT_ONCE, _OPEN_SHARE = 32, 16
 
 
 def boxes_clear(
@@ -205,10 +208,11 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             return words == 0
         each, flat, configurations = q.shape[1], words.reshape(-1), q.reshape(-1, q.shape[-1])
         num = len(flat)
+        many = _OPEN_AT_ONCE if platform() == "cpu" else max(_OPEN_AT_ONCE, num // _OPEN_SHARE)
 
         def decide_some(state, second=second):
             left, free = state
-            (rows,) = jnp.nonzero(left, size=_OPEN_AT_ONCE, fill_value=num)
+            (rows,) = jnp.nonzero(left, size=many, fill_value=num)
             at = jnp.minimum(rows, num - 1)
             asked, some = jnp.where(rows < num, flat[at], 0), configurations[at]
             clear = second.clear_of_itself(some, asked & ITSELF > 0)
@@ -223,7 +227,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
 
             def some_pairs(state):
                 left, clear = state
-                (found,) = jnp.nonzero(left, size=_OPEN_AT_ONCE, fill_value=len(left))
+                (found,) = jnp.nonzero(left, size=many, fill_value=len(left))
                 of, at = jnp.divmod(jnp.minimum(found, len(left) - 1), len(q))
                 apart = second.clear_of_obstacles(placed, owner[at], of, q[at], found < len(left))
                 clear = clear.at[jnp.where(apart, len(q), at)].set(False, mode="drop")

@@ -17,6 +17,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.exact import hulls_of
 from gnnjax.collision.obstacles import Obstacles, sum_of_squares
+from gnnjax.kept import keep
 
 _BEYOND = 1e-6  # m; how much more than the margin is asked for, before points
 _PAIRS_A_CALL = 128  # that planes are looked for at once; fixed, so that it is compiled once
@@ -34,8 +35,8 @@ class Hulls:
         # A box around each part, in its body's frame, `[3, T]` m.
         self._middles, self._halves = (low + high) / 2, (high - low) / 2 + self.radii
         self._parts = hulls_of(robot)
-        self._to_obstacles = jax.jit(convex.separate_obstacles)
-        self._to_parts = jax.jit(convex.separate_parts)
+        self._to_obstacles = keep(convex.separate_obstacles)
+        self._to_parts = keep(convex.separate_parts)
 
     def compile(self) -> None:
         """Compiles what looks for planes."""

@@ -6,12 +6,12 @@ then of whole rows, and what is found for one point does not depend on its neigh
 """
 
 import functools
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.scene.scene import Scene
 
 _MOST_METERS = 1e4  # of an obstacle; what lies beyond is no scene of an arm
@@ -28,6 +28,7 @@ class Obstacles:
     has_clouds: bool
     cloud_radii: np.ndarray  # [P] m, of their balls; where there are clouds
     allowed: np.ndarray | None  # [L+1 M P] contacts that are meant, by body; the world comes last
+    arm: np.ndarray | None  # the `arm_key` of the arm that these are of, in each scene
 
     def __init__(self, scenes: Scene):
         mask, centers, half_extents, quats, radii = _arrays(scenes)
@@ -48,9 +49,9 @@ class Obstacles:
         ]
         rows = [*self.centers, *sizes, *axes[0], *axes[1], *axes[2], disc, ball]
         self._table = np.stack(rows).reshape(17, -1)
-        self.allowed = None
+        self.allowed = self.arm = None
         if scenes.allowed is not None:
-            pairs = np.asarray(scenes.allowed.pairs)
+            pairs, self.arm = (np.asarray(x) for x in scenes.allowed)
             pairs = pairs if pairs.ndim == 3 else pairs[None]
             self.allowed = np.concatenate([pairs.T, np.zeros((1, *self.exists.shape), bool)])
         self.has_clouds = scenes.cloud is not None
@@ -112,8 +113,10 @@ class Obstacles:
 
 
 @functools.lru_cache(maxsize=64)
-def _tree(points: bytes, dtype: str) -> cKDTree:
+def _tree(points: bytes, dtype: str) -> Any:
     """A tree of points `[K, 3]`, which a path's certificates share with those to come."""
+    from scipy.spatial import cKDTree  # a fifth of a second, for clouds alone
+
     own = np.frombuffer(points, dtype).reshape(-1, 3)
     return cKDTree(own, balanced_tree=False, compact_nodes=False)
 
@@ -157,7 +160,7 @@ def scene_faults(scenes: Scene) -> list[str | None]:
             which = bad[i].argmax()
             faults[i] = faults[i] or (
                 f"existing obstacle {mask[i, :which].sum()} of the scene has {name} "
-                f"{values[i, which].tolist()}, which must be {rule} (m, below {_MOST_METERS:g}); "
+                f"{as_typed(values[i, which])}, which must be {rule} (m, below {_MOST_METERS:g}); "
                 "make scenes with make_scene or scene_from_shapes"
             )
     if scenes.cloud is not None:

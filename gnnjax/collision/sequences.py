@@ -19,6 +19,7 @@ from gnnjax.collision.checker import Checker, bisection_order, most_intervals
 from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.exact import PartTests
 from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, OBSTACLE_BITS
+from gnnjax.kept import keep
 from gnnjax.scene.scene import Scene
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
@@ -69,11 +70,11 @@ class SequenceTester:
         """
         self.checker = checker
         levels = checker.levels
-        self._place = jax.jit(checker.place)
-        self._check = jax.jit(checker.check_each if levels is None else levels.first)
+        self._place = keep(checker.place)
+        self._check = keep(checker.check_each if levels is None else levels.first)
         self._second = None
         if levels is not None:
-            self._second = PartTests(*(test and jax.jit(test) for test in levels.second))
+            self._second = PartTests(*(test and keep(test) for test in levels.second))
         self._order = bisection_order(most_intervals(robot, resolution))
         self._resolution = resolution
         self.computed = 0  # configurations, with those that no sequential test would have needed

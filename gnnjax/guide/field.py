@@ -19,6 +19,7 @@ from gnnjax.arm.kinematics import body_frames, joint_terms, transform
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.guide.guide import Guide, Prices
+from gnnjax.kept import keep
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.field import Grid, cell_of, distance_field, make_grid
 
@@ -68,13 +69,13 @@ def _compiled_centers(robot: Robot) -> Callable[[np.ndarray], jax.Array]:
             [jnp.broadcast_to(x, len(q)) for b, c in points for x in transform(*frames[b], c)]
         ).reshape(-1, 3, len(q))
 
-    return jax.jit(centers)
+    return keep(centers)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _cells_of(grid: Grid, centers: jax.Array) -> jax.Array:
-    """The cells `[S B]` of points `[S 3 B]`."""
-    return cell_of(grid, list(jnp.moveaxis(centers, 1, 0)))
+@functools.lru_cache(maxsize=8)
+def _compiled_cells(grid: Grid) -> Callable[[jax.Array], jax.Array]:
+    """Makes the function `[S 3 B] -> [S B]`: the cells of points."""
+    return keep(lambda centers: cell_of(grid, list(jnp.moveaxis(centers, 1, 0))))
 
 
 def margin_function(robot: Robot, grid: Grid) -> Callable[[jax.Array, jax.Array], jax.Array]:
@@ -135,7 +136,7 @@ def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
     seen = np.zeros((len(spheres.radii), len(padded)), np.int32)  # [S EF]
     for at in range(0, len(padded), _PLACES):
         block = slice(at, at + _PLACES)
-        seen[:, block] = _cells_of(grid, _compiled_centers(robot)(padded[block]))
+        seen[:, block] = _compiled_cells(grid)(_compiled_centers(robot)(padded[block]))
     seen = seen[:, : len(places)].reshape(len(seen), len(first), len(fraction))
     keys, count = _keys(np.moveaxis(seen, 1, 0), spheres.radii)
     order = np.argsort(-count, kind="stable")
@@ -151,7 +152,7 @@ def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
     rank[order], rank[-1] = np.arange(len(order)), padded[0]
     edge = rank[np.where(roadmap.neighbor_mask, number[own, neighbors], len(order))]
     table = table.reshape(-1, _EDGES, padded[1]).swapaxes(1, 2)
-    return jax.tree.map(jnp.asarray, EdgeTable(table, width, edge))
+    return jax.device_put(EdgeTable(table, width, edge))
 
 
 def _keys(seen: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -187,7 +188,7 @@ def field_guide(robot: Robot, cells: int = CELLS) -> Guide:
     """
     grid = reach_grid(robot, cells)
     field, margin = distance_field(grid), margin_function(robot, grid)
-    radii = jnp.asarray(_distinct(_spheres(robot).radii)[0])
+    radii = jax.device_put(_distinct(_spheres(robot).radii)[0])
 
     def price(weights: jax.Array, margins: jax.Array) -> jax.Array:
         return jax.nn.softplus((weights[0] - margins) / weights[1])
@@ -243,7 +244,7 @@ def field_guide(robot: Robot, cells: int = CELLS) -> Guide:
         return jnp.moveaxis(edges[table.edge], -1, 0)
 
     return Guide(
-        jnp.array(CALIBRATION),
+        jax.device_put(np.array(CALIBRATION, np.float32)),
         lambda weights, scene: field(scene),
         prices,
         functools.partial(edge_table, robot, grid),

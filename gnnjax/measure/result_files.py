@@ -24,17 +24,17 @@ def write_results(path: Path, results: dict[str, Any]) -> None:
     atomic_write(path, lambda file: file.write_text(text + "\n", encoding="utf-8"))
 
 
-def read_results(path: Path) -> dict[str, Any]:
-    """Finished results with their rows.
+def read_results(path: Path, *, rows: bool = True) -> dict[str, Any]:
+    """Finished results, with their rows unless these are not asked for.
 
     Raises:
         InputError: another file, results that are not complete, or that have their rows elsewhere.
     """
     try:
         results = json.loads(path.read_text(encoding="utf-8"))
-        version, complete, rows = (results[key] for key in ("format", "complete", "problems"))
+        version, complete, held = (results[key] for key in ("format", "complete", "problems"))
         if version == FORMAT:
-            _check_rows(rows, 0)
+            _check_rows(held, 0)
     except FileNotFoundError:
         raise InputError(f"no results {str(path)!r}; gnnjax.evaluate writes such") from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -42,7 +42,7 @@ def read_results(path: Path) -> dict[str, Any]:
     faults = {
         "of another version": version != FORMAT,
         "that were cut off": not complete,
-        "without rows": not rows,
+        "without rows": rows and not held,
     }
     for fault, found in faults.items():
         if found:

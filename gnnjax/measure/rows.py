@@ -4,11 +4,11 @@ import functools
 from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import make_checker
+from gnnjax.devices import map_first, on_all_cores
 from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import is_axis_aligned
@@ -64,20 +64,17 @@ def within(row: dict, time_limit: float) -> dict:
 def straight_line_blocked(robot: Robot, checker: str, problems: Problem) -> np.ndarray:
     """Tells for each problem whether the straight line from start to goal is blocked: the hard
     ones. That does not depend on the resolution a planner is asked for."""
-    blocked = _blocked(robot, checker == "mjx", is_axis_aligned(problems.scene))
-    return np.asarray(blocked(jax.tree.map(jnp.asarray, problems)))
+    return on_all_cores(
+        _blocked(robot, checker == "mjx", is_axis_aligned(problems.scene)), problems
+    )
 
 
 @functools.cache
-def _blocked(robot: Robot, on_mjx: bool, axis_aligned: bool) -> Callable[[Problem], jax.Array]:
+def _blocked(robot: Robot, on_mjx: bool, axis_aligned: bool) -> Callable[..., jax.Array]:
     check = make_checker(robot, "mjx" if on_mjx else "fused", axis_aligned=axis_aligned)
 
-    @jax.jit
-    def blocked(problems: Problem) -> jax.Array:
-        def one(problem: Problem) -> jax.Array:
-            ends = problem.start[None], problem.goal[None]
-            return ~check.check_edges(problem.scene, *ends).valid[0]
+    def blocked(problem: Problem) -> jax.Array:
+        ends = problem.start[None], problem.goal[None]
+        return ~check.check_edges(problem.scene, *ends).valid[0]
 
-        return jax.lax.map(one, problems)
-
-    return blocked
+    return jax.jit(functools.partial(map_first, blocked))

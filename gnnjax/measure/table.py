@@ -4,6 +4,7 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 # What a summary's title says of options that are not at their defaults.
@@ -12,6 +13,7 @@ _VARIANTS = {
     "shorten": (False, "not shortened"),
     "sampled": (True, "on sampled roadmaps"),
 }
+_WITH_UNITS = (("cost", "[rad]"), ("planning", "[ms]"), ("total", "[ms]"))
 
 
 def title_of(settings: dict[str, Any]) -> str:
@@ -29,14 +31,13 @@ def print_summary(results: dict[str, Any]) -> None:
     """Prints a summary as a table."""
     summary = results["summary"]
     table = Table(
-        *("stratum", "solved", "certified", "edge\nchecks", "configuration\nchecks", "cost"),
+        *("stratum", "solved", "certified", "edge\nchecks", "configuration\nchecks"),
+        *(f"{name}\n{escape(unit)}" for name, unit in _WITH_UNITS),
         title=title_of(results["settings"]),
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         show_edge=False,
     )
-    table.add_column("planning\n[ms]")
-    table.add_column("total\n[ms]")
     for stratum in ("all", "hard"):
         part = summary[stratum]
         if not part["num_problems"]:

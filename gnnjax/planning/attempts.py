@@ -53,6 +53,7 @@ class Attempts(Progress):
         seed: int,
         pool: int,
         shares: int = 1,
+        most_roadmaps: int | None = None,
     ):
         """Args:
         robot: the arm.
@@ -63,8 +64,9 @@ class Attempts(Progress):
         seed: of the roadmaps.
         pool: most problems on their way at once.
         shares: runs that take place side by side.
+        most_roadmaps: of a problem, with which it is given up; None: with all.
         """
-        super().__init__(robot, problems, shares)
+        super().__init__(robot, problems, shares, most_roadmaps)
         self.strategy, self.options = strategy, options
         self.tester, self.seed, self.pool = tester, seed, pool
         self.chunk = _CHUNKS[pool > 1]

@@ -13,6 +13,7 @@ from gnnjax.collision.checker import Checker
 from gnnjax.devices import map_first
 from gnnjax.errors import InputError
 from gnnjax.guide.guide import RISK_WEIGHT, Guide
+from gnnjax.kept import keep
 from gnnjax.per_object import per_object
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
@@ -22,8 +23,8 @@ from gnnjax.roadmap.sampled import sample_roadmap
 from gnnjax.roadmap.stored import (
     NUM_LOCAL,
     add_local_nodes,
+    compiled_offsets,
     insert_ends,
-    local_offsets,
     stored_roadmap,
 )
 from gnnjax.scene.scene import without_meant
@@ -41,7 +42,6 @@ GIVE_UP = 4.0
 
 _SLOTS = 16  # edges that a search may leave a node by
 
-_local_offsets = jax.jit(local_offsets, static_argnums=1)
 _WIDE_NODES = (400, 600)
 _ROADMAPS_A_SEED = 1000  # seeds of stored roadmaps: of query seed s, from 1000 s on
 
@@ -133,8 +133,8 @@ class Guided:
         size = self._sizes[min(number, 1)]
         stored = stored_roadmap(self.robot, size - 2, seed * _ROADMAPS_A_SEED + number)
         tabulate = self.guide.tabulate
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        offsets = jax.block_until_ready(_local_offsets(key, self.robot.num_dof))
+        offsets = compiled_offsets(self.robot.num_dof)(np.uint32(seed), np.uint32(number))
+        offsets = jax.block_until_ready(offsets)
         return stored, None if tabulate is None else tabulate(stored), offsets
 
     @per_object(functools.partial(jax.jit, static_argnums=5))
@@ -160,7 +160,7 @@ class Guided:
         priced = self._priced(roadmaps, price, straight, judged=True, nodes_checked=True)
         return Entered(priced, readings, checks)
 
-    @per_object(jax.jit)
+    @per_object(keep)
     def _first(self, weights, stored, table, problems: Problem, straight, num) -> Entered:
         guide = self.guide
 
@@ -201,7 +201,7 @@ class Guided:
         priced = self._priced(roadmaps, price, straight, judged=guide.stored is not None)
         return Entered(priced, readings, jnp.zeros(len(price), jnp.int32))
 
-    @per_object(jax.jit)
+    @per_object(keep)
     def _later(self, weights, stored, table, offsets, problems: Problem, straight, num) -> Entered:
         guide = self.guide
         limits = self.robot.joint_lower, self.robot.joint_upper
@@ -270,7 +270,7 @@ class Guided:
         # On checked nodes searches are compared, so that all of them need all edges.
         return priced if nodes_checked else jax.vmap(lambda x: keep_cheapest(x, _SLOTS))(priced)
 
-    @per_object(jax.jit)
+    @per_object(keep)
     def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
         """Prices of motions `[B E]`."""
 
@@ -281,7 +281,7 @@ class Guided:
 
         return map_first(one, num, (readings, starts, ends))
 
-    @per_object(jax.jit)
+    @per_object(keep)
     def shortcuts(self, weights, readings, lines: jax.Array, num) -> tuple[jax.Array, jax.Array]:
         """Points `[B V D]` of paths `[B N D]` that are shortened in the guide's eyes, and prices
         `[B V V]` of the motions between them, rad."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.devices import cache_compilations, run_where_called
+from gnnjax.devices import cache_compilations, on_host, run_where_called
 from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide
@@ -23,7 +23,7 @@ MakeScorer = Callable[[Roadmap, Scene], Scorer]
 
 
 def load_planner(
-    robot: str | Path,
+    robot: str | Path | Robot,
     planner: str = "guided",
     *,
     guide: Guide | None = None,
@@ -33,7 +33,7 @@ def load_planner(
     """Loads a robot, and weights where they are needed, and makes a planner on roadmaps.
 
     Args:
-        robot: name of a shipped robot, or path of an MJCF.
+        robot: name of a shipped robot, path of an MJCF or URDF, or an arm that is loaded already.
         planner: one of `PLANNERS`, but for OMPL's, which `evaluate` makes.
         guide: for "guided": your own, in place of the distance field.
         scorer: for "greedy": `(roadmap, scene) -> Scorer`.
@@ -43,7 +43,8 @@ def load_planner(
     Raises:
         InputError: an unknown robot, planner or option, or options that do not fit the planner.
     """
-    return own_planner(load_robot(robot), make_options(planner, **options), guide, scorer)
+    arm = robot if isinstance(robot, Robot) else load_robot(robot)
+    return own_planner(arm, make_options(planner, **options), guide, scorer)
 
 
 def own_planner(
@@ -61,6 +62,7 @@ def own_planner(
     return made
 
 
+@on_host()
 def make_planner(
     robot: Robot,
     options: PlannerOptions,

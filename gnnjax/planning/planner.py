@@ -6,7 +6,6 @@ import time
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,7 +14,7 @@ from gnnjax.collision.bounds import compile_certificates
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.margins import proven_clearance
 from gnnjax.collision.sequences import SequenceTester
-from gnnjax.devices import Share, shares_of, side_by_side
+from gnnjax.devices import Share, on_host, shares_of, side_by_side
 from gnnjax.errors import InputError, check_seed
 from gnnjax.per_object import per_object
 from gnnjax.planning.engine import Run
@@ -36,7 +35,8 @@ from gnnjax.trajectory.options import MotionOptions
 class Planner(abc.ABC):
     """Plans queries for one robot on roadmaps.
 
-    Compiles on the first query and keeps the result on disk; `warm_up` does so beforehand.
+    Compiles on the first query and keeps the result on disk; `warm_up` does so beforehand. Searches
+    make many small calls, and run on the host's cores also where JAX has an accelerator.
     """
 
     def __init__(
@@ -62,13 +62,15 @@ class Planner(abc.ABC):
         """Of the first roadmap, configuration units."""
         return self.strategy.radius
 
+    @on_host()
     def use_weights(self, weights: Any) -> None:
         """Goes on with other weights of the same network; nothing is compiled again."""
         # Restored weights are bound to a device. So would be all that is computed with them, and
         # JAX would compile anew for what is bound and what is not.
-        weights = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), weights)
+        weights = jax.tree.map(lambda x: jax.device_put(np.asarray(x)), weights)
         self.strategy = self.strategy.with_weights(weights)
 
+    @on_host()
     def plan(
         self,
         scene: Scene,
@@ -113,6 +115,7 @@ class Planner(abc.ABC):
         # What checking the query took belongs to it.
         return plan._replace(total_time_s=plan.total_time_s + checking)
 
+    @on_host()
     def plan_batch(
         self, problems: Problem, *, seed: int = 0, trajectory: bool | MotionOptions = False
     ) -> list[Plan]:
@@ -132,6 +135,7 @@ class Planner(abc.ABC):
         plans = self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
         return with_motions(self.robot, plans, problems.scene, motion, margin)
 
+    @on_host()
     def clearance(self, scene: Scene, plan: Plan) -> float:
         """The distance [m] from obstacles that is proven along the whole of a plan's path, up to
         0.25 m, to a millimetre; see `proven_clearance`. It takes ten certificates of the path.
@@ -176,26 +180,31 @@ class GuidedPlanner(Planner):
 
         def plan(share: Share) -> list[Plan]:
             own = jax.tree.map(lambda x: np.asarray(x)[share.numbers], problems)
-            run = self._run(own, seed, len(share.numbers), axis_aligned, len(shares))
-            run.most_roadmaps = most
-            return run.run()
+            return self._run(own, seed, axis_aligned, len(shares), most).run()
 
         # One rotated box in the batch, and all are taken for rotated.
         axis_aligned = is_axis_aligned(problems.scene)
         return side_by_side(plan, shares)
 
+    @on_host()
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         # One after the other, or each would compile the same.
         for share in shares_of(batch_size):
             num = len(share.numbers)
             with share.at_home():
-                self._run(self._at_home(scene, num), 0, num, is_axis_aligned(scene)).warm_up()
+                self._run(self._at_home(scene, num), 0, is_axis_aligned(scene)).warm_up()
 
     def _run(
-        self, problems: Problem, seed: int, pool: int, axis_aligned: bool, shares: int = 1
+        self,
+        problems: Problem,
+        seed: int,
+        axis_aligned: bool,
+        shares: int = 1,
+        most: int | None = None,
     ) -> Run:
-        tester = self._tester(axis_aligned)
-        return Run(self.robot, self.strategy, self.options, tester, problems, seed, pool, shares)
+        tester, pool = self._tester(axis_aligned), len(problems.start)
+        own = self.robot, self.strategy, self.options
+        return Run(*own, tester, problems, seed, pool, shares, most)
 
     @per_object(functools.cache)
     def _tester(self, axis_aligned: bool) -> SequenceTester:
@@ -212,16 +221,15 @@ class WalkPlanner(Planner):
     strategy: Strategy
 
     def _plan_batch(self, problems: Problem, seed: int, most: int | None = None) -> list[Plan]:
-        walks = self._walks(problems, seed)
-        walks.most_roadmaps = most
-        return walks.run()
+        return self._walks(problems, seed, most).run()
 
+    @on_host()
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         self._walks(self._at_home(scene, batch_size), 0).warm_up()
 
-    def _walks(self, problems: Problem, seed: int) -> Walks:
+    def _walks(self, problems: Problem, seed: int, most: int | None = None) -> Walks:
         compiled = self._compiled(is_axis_aligned(problems.scene))
-        return Walks(self.robot, self.strategy, self.options, compiled, problems, seed)
+        return Walks(self.robot, self.strategy, self.options, compiled, problems, seed, most)
 
     @per_object(functools.cache)
     def _compiled(self, axis_aligned: bool) -> Compiled:

@@ -10,6 +10,7 @@ import numpy as np
 from gnnjax.clock import Clock
 from gnnjax.collision.sequences import Items, Outcome, PlacedScenes, SequenceTester
 from gnnjax.devices import map_first, marked_first
+from gnnjax.kept import keep
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
 from gnnjax.search.rounds import Priced, Route, cheapest_route, learn, reprice
 
@@ -33,12 +34,12 @@ def in_chunks(rows: np.ndarray, size: int) -> Iterator[tuple[np.ndarray, np.ndar
         yield part, np.resize(part, size)
 
 
-@jax.jit
+@keep
 def _cheapest_routes(priced: Priced, rows: jax.Array, num: jax.Array) -> Route:
     return map_first(cheapest_route, num, priced, rows)
 
 
-@functools.partial(jax.jit, donate_argnums=0)
+@functools.partial(keep, donate_argnums=(0,))
 def _learn(
     known: Knowledge,
     priced: Priced,
@@ -60,7 +61,7 @@ def _learn(
     return map_first(one, num, (known, priced, route, nodes, edges), rows, into=known)
 
 
-@jax.jit
+@keep
 def _reprice(priced: Priced, route: Route, steps: jax.Array, price: jax.Array) -> Priced:
     return jax.vmap(reprice)(priced, route, steps, price)
 
@@ -70,10 +71,10 @@ def _place(pool: Any, new: Any, rows: jax.Array) -> Any:
     return jax.tree.map(lambda x, y: x.at[rows].set(y, mode="drop"), pool, new)
 
 
-_place_in = jax.jit(_place, donate_argnums=0)
+_place_in = keep(_place, donate_argnums=(0,))
 
 
-@jax.jit
+@keep
 def take(pool: Any, rows: jax.Array) -> Any:
     """Some slots of a pool."""
     return jax.tree.map(lambda x: x[rows], pool)

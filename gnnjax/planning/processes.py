@@ -50,23 +50,21 @@ class PlannerProcesses:
             num: of the processes; by default, one for each core that this one may use.
 
         Raises:
-            InputError: an accelerator, which takes one process; or a guide or scorer of the
-                planner that cannot be sent to another process.
+            InputError: a guide or scorer of the planner that cannot be sent to another process.
         """
         num = num_cores() if num is None else num
         if num < 1:
             raise InputError(f"{num} processes; it must be at least 1")
-        if jax.default_backend() != "cpu":
-            raise InputError(
-                f"processes on {jax.default_backend()!r}; they share out the cores of a CPU, plan "
-                "in this process, or set JAX_PLATFORMS=cpu"
-            )
         self._planner = planner
         self._workers: list[_Worker] = []
         sent = _sent(planner)
         try:
-            for number in range(num):
-                self._workers.append(_Worker(number, sent))
+            for _ in range(num):
+                self._workers.append(_Worker())
+            # Once all of them are starting: each reads this when it has imported what it needs.
+            for number, worker in enumerate(self._workers):
+                worker.send(number)
+                worker.send(sent)
         except BaseException:
             self.close()
             raise
@@ -164,21 +162,19 @@ def _sent(planner: Planner) -> bytes:
 class _Worker:
     """A process with a planner."""
 
-    def __init__(self, number: int, sent: bytes):
+    def __init__(self):
         # By name, and not by multiprocessing, which would run the script that asks once more.
         code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import work; work()"
         self._process = subprocess.Popen(
             [sys.executable, "-c", code],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            # An accelerator that this process leaves alone is none of theirs either.
+            # Searches run on the host, and its cores are what is shared out.
             env=os.environ | {"JAX_PLATFORMS": "cpu"},
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._questions, self._answers = self._process.stdin, self._process.stdout
-        self.send(number)
-        self.send(sent)
 
     def send(self, what: Any) -> None:
         with contextlib.suppress(BrokenPipeError):  # `receive` says it

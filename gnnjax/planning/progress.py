@@ -17,16 +17,18 @@ from gnnjax.search.rounds import Route
 class Progress:
     """P problems: the shortest certified paths so far, checks, and times."""
 
-    most_roadmaps: int | None = None  # of a problem, with which it is given up; None: all
-
-    def __init__(self, robot: Robot, problems: Problem, shares: int = 1):
+    def __init__(
+        self, robot: Robot, problems: Problem, shares: int = 1, most_roadmaps: int | None = None
+    ):
         """Args:
         robot: the arm.
         problems: `[P, ...]`.
         shares: of a larger batch that are worked on side by side.
+        most_roadmaps: of a problem, with which it is given up; None: with all.
         """
         num = len(problems.start)
         self.robot, self.clock, self._shares = robot, Clock(), shares
+        self._most_roadmaps = most_roadmaps
         self.problems = jax.tree.map(np.asarray, problems)
         self.paths: list[np.ndarray | None] = [None] * num
         self.sampling_checks = np.full(num, 2)  # start and goal
@@ -37,8 +39,8 @@ class Progress:
     def open(self, time_limit: float) -> np.ndarray:
         """Which problems have no path, time left and, if need be, roadmaps left, `[P]`."""
         unsolved = np.array([path is None for path in self.paths], bool)
-        if self.most_roadmaps is not None:
-            unsolved &= self.roadmaps < self.most_roadmaps
+        if self._most_roadmaps is not None:
+            unsolved &= self.roadmaps < self._most_roadmaps
         return unsolved & (self.total_time <= time_limit)
 
     def spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import base_clear, check_scene, clearances
 from gnnjax.collision.obstacles import Obstacles, scene_faults
-from gnnjax.errors import InputError, one_line
+from gnnjax.errors import InputError, as_typed, one_line
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.allowed import check_allowed
 from gnnjax.scene.mujoco_world import deepest_contact, depth_in_base
@@ -177,7 +177,7 @@ def _end_reasons(
             )
             continue
         contact = deepest_contact(robot, jax.tree.map(lambda x, i=i: x[i], scenes), q[i])
-        rounded = np.round(q[i], 4).tolist()
+        rounded = as_typed(np.round(q[i], 4))
         if contact:
             reasons[i] = (
                 f"{name} {rounded} is in collision: {contact.first} and {contact.second} overlap "

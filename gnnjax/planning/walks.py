@@ -88,6 +88,7 @@ class Walks(Progress):
         compiled: Compiled,
         problems: Problem,
         seed: int,
+        most_roadmaps: int | None = None,
     ):
         """Args:
         robot: the arm.
@@ -96,8 +97,9 @@ class Walks(Progress):
         compiled: the strategy's functions.
         problems: `[P, ...]`, which `check_query` accepts.
         seed: of the roadmaps.
+        most_roadmaps: of a problem, with which it is given up; None: with all.
         """
-        super().__init__(robot, problems)
+        super().__init__(robot, problems, most_roadmaps=most_roadmaps)
         self.strategy, self.options = strategy, options
         self.compiled, self.seed = compiled, seed
 

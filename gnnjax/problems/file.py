@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.files import FileKind, atomic_write, read_arrays
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.allowed import refuse_allowed
@@ -283,5 +283,5 @@ def _refuse(
         which = f" ({kind} {where[0][1]})" if len(where[0]) > 1 else ""
         raise InputError(
             f"{name} of problem {where[0][0]}{which} in {str(path)!r} is "
-            f"{brief(array[tuple(where[0])].tolist())}; it {rule}"
+            f"{brief(as_typed(array[tuple(where[0])]))}; it {rule}"
         )

@@ -8,7 +8,7 @@ from gnnjax.problems.structures import (
     MARGIN,
     THIN,
     FamilyScene,
-    Pose,
+    Placement,
     about,
     beside_arm,
     boxes_between,
@@ -92,7 +92,7 @@ def draw_bin(key: jax.Array) -> FamilyScene:
     )
     pose = beside_arm(pose_key, distance, bottom, tilt=0.1)
     turn = jax.random.uniform(turn_key, (), maxval=jnp.pi)
-    bin_pose = Pose(pose.position, multiply(pose.quat, about(2, turn)))
+    bin_pose = Placement(pose.position, multiply(pose.quat, about(2, turn)))
     walls = [
         ([-length, -width, -2 * THIN], [length, width, 0]),
         *(([s * length - THIN, -width, 0], [s * length + THIN, width, height]) for s in (-1, 1)),

@@ -38,7 +38,7 @@ class FamilyScene(NamedTuple):
     tilt: Float[Array, "*batch"] | None = None
 
 
-class Pose(NamedTuple):
+class Placement(NamedTuple):
     """Where a structure's frame is."""
 
     position: Float[Array, "3"]
@@ -53,7 +53,7 @@ def uniform(key: jax.Array, low: list, high: list, *shape: int) -> jax.Array:
 
 def beside_arm(
     key: jax.Array, distance: jax.Array, height: jax.Array | float, *, tilt: float = 0.0
-) -> Pose:
+) -> Placement:
     """A frame somewhere around the arm, whose x axis points away from it give or take 0.3 rad."""
     around_key, swing_key, tilt_key = jax.random.split(key, 3)
     around = jax.random.uniform(around_key, (), minval=-jnp.pi, maxval=jnp.pi)
@@ -61,7 +61,7 @@ def beside_arm(
     roll, pitch = jax.random.uniform(tilt_key, (2,), minval=-tilt, maxval=tilt)
     position = jnp.stack([distance * jnp.cos(around), distance * jnp.sin(around), height + 0.0])
     lean = multiply(about(0, roll), about(1, pitch))
-    return Pose(position, multiply(about(2, around + swing), lean))
+    return Placement(position, multiply(about(2, around + swing), lean))
 
 
 def about(axis: int, angle: jax.Array) -> jax.Array:
@@ -80,7 +80,7 @@ def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.concatenate([(a[0] * b[0] - a[1:] @ b[1:])[None], vector])
 
 
-def to_world(pose: Pose, points: jax.Array) -> jax.Array:
+def to_world(pose: Placement, points: jax.Array) -> jax.Array:
     """Points `[*batch, 3]` of a structure's frame in the world."""
     return pose.position + points @ rotation_matrices(pose.quat).T
 
@@ -90,13 +90,13 @@ def _corners(low: list, high: list) -> tuple[jax.Array, jax.Array]:
     return (first + last) / 2, (last - first) / 2
 
 
-def region_between(pose: Pose, low: list, high: list) -> Region:
+def region_between(pose: Placement, low: list, high: list) -> Region:
     """The region between two corners in a structure's frame."""
     center, half_extents = _corners(low, high)
     return Region(to_world(pose, center), half_extents, pose.quat)
 
 
-def boxes_between(pose: Pose, low_high: list, exists: Bool[Array, " M"]) -> Scene:
+def boxes_between(pose: Placement, low_high: list, exists: Bool[Array, " M"]) -> Scene:
     """Boxes between pairs of corners in a structure's frame."""
     parts = [_corners(low, high) for low, high in low_high]
     centers, half_extents = (jnp.stack(part) for part in zip(*parts, strict=True))
@@ -105,7 +105,7 @@ def boxes_between(pose: Pose, low_high: list, exists: Bool[Array, " M"]) -> Scen
 
 
 def cylinders(
-    pose: Pose, centers: jax.Array, radius: jax.Array, half: jax.Array, exists: jax.Array
+    pose: Placement, centers: jax.Array, radius: jax.Array, half: jax.Array, exists: jax.Array
 ) -> Scene:
     """Cylinders along the z axis of a structure's frame."""
     quats = jnp.tile(pose.quat, (len(centers), 1))

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.certify import is_self_free
 from gnnjax.errors import InputError
+from gnnjax.kept import keep
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, connect, default_radius, node_bucket
 from gnnjax.roadmap.sobol import sobol_points
 
@@ -55,14 +56,14 @@ def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
             padding = node_bucket(num_nodes + 2) - 2 - num_nodes
             mask = np.arange(num_nodes + padding) < num_nodes
             nodes = np.pad(nodes, ((0, padding), (0, 0)))
-            return _connect(nodes, mask, default_radius(robot, num_nodes + 2), _SLOTS)
+            return _connect(nodes, mask, np.float32(default_radius(robot, num_nodes + 2)))
     raise InputError(
         f"{robot.name} is in self-collision at nearly every configuration; check the geoms that "
         "collide and the pairs that its MJCF excludes"
     )
 
 
-_connect = jax.jit(connect, static_argnames="num_slots")
+_connect = keep(functools.partial(connect, num_slots=_SLOTS))
 
 
 def insert_ends(
@@ -199,6 +200,16 @@ def local_offsets(key: jax.Array, num_dof: int) -> Float[Array, "2 C D"]:
     num_drawn = _CANDIDATES * NUM_LOCAL
     scale = jax.random.choice(keys[0], jnp.array(_LOCAL_SCALES), (2, num_drawn, 1))
     return scale * jax.random.normal(keys[1], (2, num_drawn, num_dof))
+
+
+@functools.cache
+def compiled_offsets(num_dof: int) -> Callable[[np.uint32, np.uint32], jax.Array]:
+    """Makes the function `(seed, number of the roadmap) -> [2 C D]` of `local_offsets`."""
+
+    def offsets(seed: jax.Array, number: jax.Array) -> jax.Array:
+        return local_offsets(jax.random.fold_in(jax.random.key(seed), number), num_dof)
+
+    return keep(offsets)
 
 
 def _choose_local(

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
@@ -82,12 +83,14 @@ def check_allowed(robot: Robot, scene: Scene) -> None:
     if allowed is None:
         return
     pairs, mask = np.asarray(allowed.pairs), np.asarray(scene.mask)
-    if (
-        pairs.dtype != bool
-        or pairs.shape != (*mask.shape, len(robot.bodies))
-        or np.shape(allowed.arm) != mask.shape[:-1]
-        or (np.asarray(allowed.arm) != arm_key(robot)).any()
-    ):
+    fits = pairs.dtype == bool and pairs.shape == (*mask.shape, len(robot.bodies))
+    check_arm(robot, allowed.arm, fits and np.shape(allowed.arm) == mask.shape[:-1])
+
+
+def check_arm(robot: Robot, arm: ArrayLike, fits: bool = True) -> None:
+    """Refuses contacts that are meant of an arm, or arms, with another `arm_key`, or that do not
+    fit otherwise."""
+    if not fits or (np.asarray(arm) != arm_key(robot)).any():
         raise InputError(
             f"the contacts that are meant in the scene are not of {robot.name}; name them for that "
             "arm with allow_contacts"

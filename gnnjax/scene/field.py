@@ -61,7 +61,7 @@ def distance_field(grid: Grid) -> Callable[[Scene], Float[Array, " V"]]:
     obstacle, negative inside of it; no more than that to a cloud.
     """
     sides = [
-        jnp.asarray(low + (np.arange(size) + 0.5) * grid.cell, jnp.float32)
+        (low + (np.arange(size) + 0.5) * grid.cell).astype(np.float32)
         for low, size in zip(grid.lower, grid.shape, strict=True)
     ]
     x, y, z = sides[0][:, None, None], sides[1][None, :, None], sides[2][None, None, :]

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from gnnjax.arm.mjcf import collision_geoms, without_warnings
 from gnnjax.arm.robot import Robot
@@ -31,6 +30,8 @@ _SHAPES: dict[int, Callable[[np.ndarray], Shape]] = {
 
 def _hull(model: mujoco.MjModel, number: int, pose: Pose, called: str) -> Balls:
     """The convex hull of a mesh, which is what MuJoCo collides."""
+    from scipy.spatial import ConvexHull  # a fifth of a second, for meshes alone
+
     first, num = model.mesh_vertadr[number], model.mesh_vertnum[number]
     vertices = moved_points(model.mesh_vert[first : first + num].astype(float), pose)
     return enclosed(vertices, ConvexHull(vertices).simplices, source=called)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, as_typed
 from gnnjax.scene.cloud import MOST_METERS
 from gnnjax.scene.shapes import FIELDS, HALF_SPACE, IDENTITY_QUAT, PLURALS, SIZES, Sums, sums_of
 
@@ -37,7 +37,7 @@ def sums_from(kind: str, columns: dict[str, Sequence | np.ndarray], source: str)
         if bad.any():
             i = int(bad.argmax())
             raise InputError(
-                f"{kind} {i} of {source} has {name} {values[name][i].tolist()}; "
+                f"{kind} {i} of {source} has {name} {as_typed(values[name][i])}; "
                 "it must be positive (m)"
             )
     for name, remedy in (("quat", "a rotation as w x y z"), ("normal", "a direction")):
@@ -45,7 +45,7 @@ def sums_from(kind: str, columns: dict[str, Sequence | np.ndarray], source: str)
         if len(largest) and largest.min() < 1e-3:
             i = int(largest.argmin())
             raise InputError(
-                f"{kind} {i} of {source} has the {PLURALS[name][:-1]} {values[name][i].tolist()}; "
+                f"{kind} {i} of {source} has the {PLURALS[name][:-1]} {as_typed(values[name][i])}; "
                 f"give {remedy}, not zeros"
             )
     for name in ("quat", "normal"):
@@ -92,7 +92,7 @@ def rows(
         bad |= (np.abs(array) > MOST_METERS).any(axis=1)
     if bad.any():
         raise InputError(
-            f"{kind} {int(bad.argmax())} of {source} has {name} {array[bad.argmax()].tolist()}; "
+            f"{kind} {int(bad.argmax())} of {source} has {name} {as_typed(array[bad.argmax()])}; "
             f"all numbers must be finite, and lengths below {MOST_METERS:g} m"
         )
     return array

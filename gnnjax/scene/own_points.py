@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from gnnjax.arm.parts import Part
 from gnnjax.arm.robot import Robot
@@ -113,6 +112,8 @@ def _faces_and_edges(vertices: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarra
     points = np.frombuffer(vertices).reshape(-1, 3)
     if len(points) < 3:  # of a sphere or a capsule, which are points made thicker
         return np.zeros((0, 3)), np.zeros(0), np.array([[0, len(points) - 1]])
+    from scipy.spatial import ConvexHull  # a fifth of a second, for clouds alone
+
     hull = ConvexHull(points)
     corners = hull.simplices
     edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from gnnjax.errors import InputError
 from gnnjax.scene.cloud import MOST_METERS, RADIUS, Balls, point_cloud
@@ -202,6 +201,8 @@ def _inside(samples: np.ndarray, cell: float) -> np.ndarray:
     index = np.floor((samples - lower) / cell).astype(int)
     wall = np.zeros(index.max(axis=0) + 2, bool)
     wall[tuple(index.T)] = True
+    from scipy import ndimage  # a tenth of a second, for this alone
+
     hollow = ndimage.binary_fill_holes(wall) & ~wall
     # Every so many cells, so that no centre of a ball of `INSIDE` is farther from all of them.
     every = max(1, int(2 * (INSIDE / np.sqrt(3) - cell) / cell))

@@ -30,7 +30,7 @@ from tensorboardX.proto.event_pb2 import Event
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import masked_crc32c
 
-from gnnjax.errors import InputError, check_seed
+from gnnjax.errors import InputError, check_seed, needs_extra
 from gnnjax.files import atomic_write, check_target, locked
 from gnnjax.training.checkpoint import TrainingCheckpoints
 from gnnjax.training.parallel import everywhere, here
@@ -69,11 +69,14 @@ def run_training(training: Training, config: Any) -> Path:
 
     Args:
         training: what to do.
-        config: of the command; its `out` and `resume` say where and whether to go on.
+        config: of the command; its `out` and `resume` say where and whether to go on, its `figure`
+            where a picture of the curves goes.
     """
     unit, steps, mesh = training.unit, training.steps, training.mesh
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    run = TrainingRun(config.out, training.network, settings_of(config), unit, steps)
+    run = TrainingRun(
+        *(config.out, training.network, settings_of(config), unit, steps), figure=config.figure
+    )
     console = Console(quiet=not _is_first())
     with run, Progress(*columns, TimeRemainingColumn(), console=console) as progress:
         first, state = run.begin(training.state, config.resume)
@@ -119,12 +122,16 @@ def check_bounds(config: Any, least: dict[str, int]) -> None:
             raise InputError(f"{name} is {value}; it must be at least {bound}, and finite")
     check_seed(config.seed)
     check_target(config.out / "log.jsonl")
+    if config.figure is not None:
+        with needs_extra("--figure", "viz"):
+            from gnnjax.plot import check_picture
+        check_picture(config.figure)
 
 
 def settings_of(config: Any) -> dict[str, Any]:
     """A configuration as JSON, without what may differ when a run goes on."""
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
-    for name in ("resume", "out", "cluster"):
+    for name in ("resume", "out", "cluster", "figure"):
         del settings[name]
     return settings
 
@@ -147,12 +154,20 @@ class TrainingRun(contextlib.ExitStack):
         settings: of the run, as JSON; a run goes on only with the same ones.
         unit: what records count: "step" or "epoch".
         steps: of a unit.
+        figure: where a picture of the records goes with each checkpoint.
     """
 
     def __init__(
-        self, out: Path, network: nnx.Module, settings: dict[str, Any], unit: str, steps: int = 1
+        self,
+        out: Path,
+        network: nnx.Module,
+        settings: dict[str, Any],
+        unit: str,
+        steps: int = 1,
+        figure: Path | None = None,
     ):
         super().__init__()
+        self._figure = figure
         self.out, self.records = out, []
         self._network, self._settings, self._unit, self._steps = network, settings, unit, steps
         self._events = out / "tensorboard" / f"events.out.tfevents.{int(time.time())}.gnnjax"
@@ -197,6 +212,7 @@ class TrainingRun(contextlib.ExitStack):
         self.records.append(record)
         if state is not None:
             self._checkpoints.save(record[self._unit], state, self.records)
+            self._draw()
         self._write_log()
         self._append_event(record)
 
@@ -207,12 +223,19 @@ class TrainingRun(contextlib.ExitStack):
         path = self.out / "weights.safetensors"
         if _is_first():
             save_network(path, self._network, training)
+            self._draw()
             print(f"weights in {path}")
         return path
 
     def _append_event(self, record: dict[str, Any]) -> None:
         if _is_first():
             _append_event(self._events, record, record[self._unit] * self._steps)
+
+    def _draw(self) -> None:
+        if self._figure is not None and _is_first():
+            from gnnjax.training.figure import draw_training
+
+            draw_training(self.records, self._unit, self.out.name, self._figure)
 
     def _write_log(self) -> None:
         if not _is_first():

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from gnnjax.clock import Clock
+from gnnjax.devices import platform
 
 
 def over_curves(
@@ -29,7 +30,7 @@ def over_curves(
     """
     found: list[Any] = [None] * len(rows)
     with jax.enable_x64(True):
-        if jax.default_backend() == "cpu":  # whose caches hold what is computed of one row
+        if platform() == "cpu":  # whose caches hold what is computed of one row
             found = [clock.call(alone, limits, row) for row in rows]
         else:
             for size in {*sizes}:

@@ -6,8 +6,6 @@ from typing import NamedTuple
 import jax
 import mujoco
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial import cKDTree
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
@@ -175,6 +173,8 @@ def _at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
     q, velocity, acceleration = (np.zeros((len(times), robot.num_dof)) for _ in range(3))
     q[:] = given.positions[-1]
     if moving.any():
+        from scipy.interpolate import CubicHermiteSpline  # a third of a second, for this alone
+
         curve = CubicHermiteSpline(given.times, given.positions, given.velocities)
         for number, part in enumerate((q, velocity, acceleration)):
             part[moving] = curve(times[moving], number)
@@ -250,6 +250,8 @@ def _stray(robot: Robot, curve: np.ndarray, q: np.ndarray) -> float:
     """A bound [m] on how far points of the arm at q `[T D]` are from where they are at the nearest
     of the states of a curve."""
     reach = spheres_of(robot).part_reach.max(axis=0)  # m/rad or m/m, of the point that moves most
+    from scipy.spatial import cKDTree  # a fifth of a second, for this alone
+
     away, _ = cKDTree(curve * reach).query(q * reach, p=1)
     return float(away.max())
 
