@@ -85,7 +85,7 @@ class Obstacles:
                 found.append(tree.data[np.concatenate(near).astype(int)])
         return np.concatenate(rows), np.concatenate(found).T
 
-    def _tree(self, number: int) -> cKDTree:
+    def _tree(self, number: int) -> Any:
         return _tree(self._clouds[number], self._dtype)
 
     def distances(self, points: np.ndarray, number: np.ndarray, scene: np.ndarray) -> np.ndarray:
