@@ -25,7 +25,7 @@ from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import BUCKETS, NODES, REACH, make_cloud, point_cloud, with_room
 from gnnjax.scene.field import distance_field, make_grid
-from gnnjax.scene.lookup import lookup, squared_distance_to
+from gnnjax.scene.lookup import corners_around, lookup, squared_distance_to
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
 from gnnjax.scene.own_points import distances_to_hull
 from gnnjax.scene.point_files import points_from_file
@@ -100,6 +100,12 @@ def test_a_look_up_never_exceeds_the_distance_and_is_hardly_less(kind):
             away = np.sqrt(exact) - np.sqrt(np.maximum(found, 0))
             assert away[close].mean() < 0.1 * diagonal
         assert (looked_up(cloud, [[REACH + 0.01, 0, 0]]) < 0).all()
+        # An upper bound, too: it goes to a node, half a diagonal away at most, and on from there.
+        corners = corners_around(lookup(cloud), list(jnp.asarray(at, jnp.float32).T))
+        for reach in (0.02, 0.05, 0.3):
+            within = np.asarray(corners.are_within(jnp.float32(reach)))
+            assert (np.sqrt(exact) < reach + 1e-5)[within].all()
+            assert within[held & (np.sqrt(exact) + diagonal < reach)].all()
 
 
 def test_voxels_enclose_what_is_in_them_and_stand_out_by_no_more_than_they_say():
@@ -217,15 +223,20 @@ def test_what_look_ups_leave_open_is_decided_by_points_and_blocked_without_them(
     first, second = make_checker(crane).levels
     q = random_configurations(rng, crane, 400)
     _, place, each, _ = kernels
-    batch = stack_scenes([scene] * 3)
+    batch = stack_scenes([scene, scene, scene_from_shapes([])])
     placed, owner = place(batch), np.zeros(len(q), np.int32)
-    words = np.asarray(jax.jit(first)(placed, owner[:1], q[None]))[0]
+    level = jax.jit(first)
+    words, itself = (np.asarray(level(placed, owner[:1] + i, q[None]))[0] for i in (0, 2))
     is_open = words & CLOUD > 0
-    assert (is_open | (words >= BLOCKED))[gaps(crane, scene, q) < 0].all()
+    gap, alone = gaps(crane, scene, q), words & ~CLOUD == 0
+    assert (is_open | (words >= BLOCKED))[gap < 0].all()
+    # What is deep in the cloud needs no second look.
+    deep = (words >= BLOCKED) & (itself < BLOCKED)
+    assert deep.sum() > 10
+    assert (gap[deep] < 0).all()
     clear = np.asarray(jax.jit(second.clear_of_cloud)(placed, owner, q, is_open))
     assert clear[~is_open].all()
     assert 2 < (clear & is_open).sum() < is_open.sum() - 30
-    alone = words & ~CLOUD == 0
     np.testing.assert_array_equal(verdicts(place, each, batch, q)[0][alone], clear[alone])
     blind = jax.jit(second.clear_of_cloud)(without_leaves(placed), owner, q, is_open)
     np.testing.assert_array_equal(blind, ~is_open)

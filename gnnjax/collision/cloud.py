@@ -20,7 +20,7 @@ from gnnjax.collision.fused import CollisionFunctions, Levels
 from gnnjax.collision.points import Leaves, clear_of_points, leaves_of
 from gnnjax.collision.spheres import BLOCKED, CLOUD, moved_by_joint
 from gnnjax.scene.cloud import Cloud
-from gnnjax.scene.lookup import lookup, squared_distance_to
+from gnnjax.scene.lookup import Corners, corners_around, lookup
 from gnnjax.scene.scene import Scene
 
 _SPHERES_A_PASS = 8
@@ -56,23 +56,30 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
     clear_of_parts = None if levels is None else clear_of_points(robot)
 
     def touched(
-        clouds: Cloud, owner: Int[Array, "..."], q: Float[Array, "*batch D"]
+        clouds: Cloud, owner: Int[Array, "..."], q: Float[Array, "*batch D"], *, deep: bool
     ) -> UInt[Array, " W *batch"]:
-        """Bit p % 32 of word p // 32: whether spheres of part p are not clear."""
+        """Bit p % WORD of word p // WORD: whether spheres of part p are not clear.
 
-        def look(words: list[jax.Array], g: int, squared: jax.Array, reach: jax.Array) -> list:
+        Where it is to be told what is `deep`, words from `BLOCKED` on: those inside of it touch.
+        """
+
+        def look(words: list, g: int, corners: Corners, reach: jax.Array) -> list:
             word, bit = divmod(int(robot.geom_parts[g]), WORD)
-            reach = reach + _ROUNDING
-            gap = squared * (1.0 - _SHARE) - reach * reach
+            more = reach + _ROUNDING
+            gap = corners.at_least() * (1.0 - _SHARE) - more * more
             # So that NaN is not clear.
             hit = jnp.where(gap > 0.0, jnp.uint32(0), jnp.uint32(1 << bit))
+            if deep and robot.geom_inner_radii[g] > 0:  # whose centre is inside of its part
+                less = reach - float(robot.geom_radii[g] - robot.geom_inner_radii[g])
+                hit = hit | jnp.where(corners.are_within(less), BLOCKED, jnp.uint32(0))
             return [x | hit if i == word else x for i, x in enumerate(words)]
 
         nothing = [jnp.zeros(q.shape[:-1], jnp.uint32)] * num_words
         return jnp.stack(over_spheres(clouds, owner, q, nothing, look))
 
     def clearance(scene: Scene, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
-        def least(smallest: jax.Array, _: int, squared: jax.Array, reach: jax.Array) -> jax.Array:
+        def least(smallest: jax.Array, _: int, corners: Corners, reach: jax.Array) -> jax.Array:
+            squared = corners.at_least()
             found = jnp.sqrt(jnp.where(squared > 0.0, squared, 0.0)) - reach
             return jnp.where(found < smallest, found, smallest)
 
@@ -101,7 +108,7 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
         if leaves is None or clear_of_parts is None:
             return ~wanted
 
-        words = touched(clouds, owner, q)
+        words = touched(clouds, owner, q, deep=False)
         touching = bits_of(words, len(robot.parts)) & wanted
         return clear_of_parts(leaves, clouds.radius, owner, q, touching)
 
@@ -111,10 +118,11 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
         """What is clear of the clouds of all that is `free` of others."""
         if placed.clouds is None:
             return free
-        words = touched(placed.clouds, owner[:, None], q)
-        by_grid = (words == 0).all(axis=0)
         if placed.leaves is None or clear_of_parts is None:
-            return free & by_grid
+            words = touched(placed.clouds, owner[:, None], q, deep=False)
+            return free & (words == 0).all(axis=0)
+        words = touched(placed.clouds, owner[:, None], q, deep=True)
+        free, by_grid = free & (words < BLOCKED).all(axis=0), (words == 0).all(axis=0)
         num, each, configurations = free.size, q.shape[1], q.reshape(-1, q.shape[-1])
         words, radius = words.reshape(len(words), -1), placed.clouds.radius
         (queue,) = jnp.nonzero((free & ~by_grid).reshape(-1), size=num, fill_value=num)
@@ -156,7 +164,9 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
         found = first(placed.others, owner, nodes)
         if placed.clouds is None:
             return found
-        free = (touched(placed.clouds, owner[:, None], nodes) == 0).all(axis=0)
+        words = touched(placed.clouds, owner[:, None], nodes, deep=True)
+        blocked, free = (words >= BLOCKED).any(axis=0), (words == 0).all(axis=0)
+        found = jnp.where(blocked, BLOCKED, found)
         return jnp.where(free | (found >= BLOCKED), found, found | CLOUD)
 
     def clear_of_obstacles(placed: _Placed, *asked: jax.Array) -> jax.Array:
@@ -173,8 +183,8 @@ def over_moving_spheres(robot: Robot) -> Callable[..., Any]:
     """Makes the function `(cloud, owner, q [*batch D], start, step) -> value` that takes a value
     through the spheres around what moves of the arm; cloud and owner are those of `lookup`.
 
-    The step is `(value, sphere, squared distance [*batch], reach [*batch]) -> value`: how near the
-    sphere's centre is to the cloud's points, and the sum of its radius and that of the balls.
+    The step is `(value, sphere, corners, reach [*batch]) -> value`: what the grid tells of the
+    sphere's centre, and the sum of its radius and that of the balls.
     """
     moving: list[int] = np.flatnonzero(moved_by_joint(robot)).tolist()
     bodies: list[int] = robot.geom_bodies.tolist()
@@ -203,7 +213,7 @@ def over_moving_spheres(robot: Robot) -> Callable[..., Any]:
                 for g in chosen:
                     position, rotation = frames[bodies[g]]
                     point = transform(position, rotation, centers[g])
-                    value = step(value, g, squared_distance_to(grid, point), radii[g] + grid.radius)
+                    value = step(value, g, corners_around(grid, point), radii[g] + grid.radius)
                 return value
 
             value = jax.lax.fori_loop(0, turns, look, value)

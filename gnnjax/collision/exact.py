@@ -24,7 +24,7 @@ from gnnjax.collision.spheres import Obstacle, Passes, Placed
 from gnnjax.kept import kept_result
 
 SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
-WORD = 32  # bits
+WORD = 31  # bits that tell of parts; above them there is room for `BLOCKED`
 
 
 def hulls_of(robot: Robot) -> convex.Parts:
@@ -70,7 +70,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
     radii, part_of, pair_of = robot.geom_radii.tolist(), robot.geom_parts.tolist(), _pairs(robot)
 
     def touching(obstacle: Obstacle, q: Float[Array, "N D"]) -> UInt[Array, "W N"]:
-        """Bit p % 32 of word p // 32: spheres of part p touch the obstacle."""
+        """Bit p % WORD of word p // WORD: spheres of part p touch the obstacle."""
         found = [jnp.zeros(len(q), jnp.uint32)] * -(-len(bodies) // WORD)
         for g, squared, ball in passes.to_obstacle(joint_terms(robot, q), obstacle):
             word, bit = divmod(part_of[g], WORD)
@@ -79,7 +79,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         return jnp.stack(found)
 
     def touching_itself(q: Float[Array, "C D"], turns: jax.Array) -> UInt[Array, "V C"]:
-        """Bit u % 32 of word u // 32: spheres of the two of `Robot.part_pairs[u]` touch."""
+        """Bit u % WORD of word u // WORD: spheres of the two of `Robot.part_pairs[u]` touch."""
         joints = joint_terms(robot, q)
         words = [jnp.zeros(len(q), jnp.uint32)] * -(-couples.shape[1] // WORD)
         for pairs in passes.self_pairs:
