@@ -242,20 +242,30 @@ def test_what_look_ups_leave_open_is_decided_by_points_and_blocked_without_them(
     np.testing.assert_array_equal(blind, ~is_open)
 
 
-def test_leaves_hold_every_point_and_no_other_in_boxes_around_them():
+def test_leaves_and_groups_hold_every_point_and_no_other_in_boxes_around_them():
     rng = np.random.default_rng(9)
-    clouds = [make_cloud([point_cloud(draw(rng, kind), 0.02, None)]) for kind in ("blob", "one")]
+    balls = [point_cloud(rng.normal(0, 0.25, (5000, 3)), 0.02, None)]
+    balls += [point_cloud(draw(rng, kind), 0.02, None) for kind in ("blob", "one")]
+    clouds = [make_cloud([each]) for each in balls]
     room = len(clouds[0].points)
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *(with_room(cloud, room) for cloud in clouds))
     leaves = jax.tree.map(np.asarray, leaves_of(stacked))
-    assert leaves.points.shape == (2, room // 32, 3, 32)
-    inside = np.abs(leaves.points - leaves.middles.swapaxes(1, 2)[..., None])
-    assert (inside <= leaves.halves.swapaxes(1, 2)[..., None]).all()
-    for cloud, points in zip(clouds, leaves.points.swapaxes(2, 3).reshape(2, -1, 3), strict=True):
+    assert leaves.points.shape == (3, room // 32, 3, 32)
+    num_groups = room // 32 // 64
+    by_group = leaves.points.reshape(3, num_groups, 64, 3, 32)
+    there = np.abs(by_group[..., :1, :1]) < 1e3
+    for middles, halves in (
+        (x.swapaxes(2, 3)[..., None] for x in leaves.boxes),
+        (x.swapaxes(1, 2)[:, :, None, :, None] for x in leaves.groups),
+    ):
+        assert ((np.abs(by_group - middles) <= halves) | ~there).all()
+    assert (leaves.boxes.middles.swapaxes(2, 3)[~there[..., 0, 0]] > 1e3).all()
+    assert (leaves.groups.middles.swapaxes(1, 2)[~there.any(axis=2)[..., 0, 0]] > 1e3).all()
+    for cloud, points in zip(clouds, leaves.points.swapaxes(2, 3).reshape(3, -1, 3), strict=True):
         held = np.unique(points[np.abs(points[:, 0]) < 1e3], axis=0)
         np.testing.assert_array_equal(held, np.unique(cloud.points[: cloud.num], axis=0))
-    sizes = leaves.halves[0][:, np.abs(leaves.middles[0, 0]) < 1e3]
-    assert np.median(sizes) < 0.35  # of a cloud that reaches 0.75 m from its middle
+    sizes = leaves.boxes.halves.swapaxes(2, 3)[there[..., 0, 0]]
+    assert np.median(sizes) < 0.2  # of clouds that reach 0.75 m from their middles
 
 
 def test_the_c_engine_finds_no_contact_in_what_is_accepted_and_one_in_what_is_not(crane, kernels):

@@ -2,8 +2,8 @@
 
 A direction that separates a part from one point (`convex.py`) separates it from most points nearby.
 So of the points that may touch a part, the one that seems nearest is asked about, and all that lie
-beyond the same plane are struck out, until one is in contact or none is left. Points are in leaves,
-which are struck out as a whole where the box around them is beyond the plane.
+beyond the same plane are struck out, until one is in contact or none is left. Points are in leaves
+and these in groups, which are struck out as a whole where the box around them is beyond the plane.
 """
 
 import functools
@@ -20,8 +20,8 @@ from gnnjax.collision import convex
 from gnnjax.collision.exact import hulls_of, part_frames, test_pairs
 from gnnjax.scene.cloud import Cloud
 
-_IN_LEAF, _MOST_LEAVES = 32, 2048  # points, unless there are more leaves than that
-_TAKEN = 8  # leaves, whose points are looked at together
+_IN_LEAF, _IN_GROUP = 32, 64  # points, leaves
+_TAKEN_LEAVES, _TAKEN_GROUPS = 8, 2  # whose points and whose leaves are looked at together
 _PLANES = 4  # that are remembered for the points of leaves to come
 _MOST_ROUNDS = 64  # planes for one part; what is open by then counts as touching
 # What single precision rounds off: of positions, m, and of distances along a plane, as a share.
@@ -32,12 +32,19 @@ _NOTHING = -1e3  # m; radius of a ball that is apart from everything
 _Vector: TypeAlias = list[Any]  # of arrays, its components
 
 
-class Leaves(NamedTuple):
-    """Points of P clouds, B each that are near each other, and the boxes around these."""
+class Boxes(NamedTuple):
+    """Around points, by their middles and halves; far away where there are none."""
 
-    points: Float[Array, "P L 3 B"]  # m; where there are fewer, one comes again
-    middles: Float[Array, "P 3 L"]  # m
-    halves: Float[Array, "P 3 L"]  # m
+    middles: Float[Array, "*batch 3 K"]  # m
+    halves: Float[Array, "*batch 3 K"]  # m
+
+
+class Leaves(NamedTuple):
+    """Points of P clouds, in G groups of E leaves of B that are near each other."""
+
+    points: Float[Array, "P L 3 B"]  # m, L = G E; where there are fewer, one comes again
+    boxes: Boxes  # [P G 3 E], around those of leaves
+    groups: Boxes  # [P 3 G]
 
 
 class _Planes(NamedTuple):
@@ -86,11 +93,26 @@ class _Box(NamedTuple):
         return functools.reduce(jnp.maximum, beyond) - lost
 
 
+class _Taken(NamedTuple):
+    """What was taken last, K each: leaves of groups, or points of leaves."""
+
+    number: Int[Array, "N K"]  # of a leaf in its cloud; of points, of no use
+    middles: _Vector  # [N K] m
+    halves: _Vector | None  # [N K] m; of points, None
+    gaps: Float[Array, "N K"]  # m, at least; infinite for those whose points were taken
+
+    def left(self) -> Bool[Array, " N"]:
+        return ~(self.gaps.min(axis=1) > 0)
+
+    def beyond(self, plane: _Planes) -> "_Taken":
+        return self._replace(gaps=jnp.maximum(self.gaps, plane.gaps(self.middles, self.halves)))
+
+
 class _State(NamedTuple):
     rounds: Int[Array, ""]
-    leaves: Float[Array, "N L"]  # gaps at least, m; infinite for those whose points were taken
-    points: _Vector  # [N H] m, of the leaves that were taken last
-    gaps: Float[Array, "N H"]  # of these, at least, m
+    groups: _Taken  # all
+    leaves: _Taken
+    points: _Taken
     planes: list[_Planes]  # the last ones
     touching: Bool[Array, " N"]
 
@@ -100,16 +122,29 @@ def leaves_of(clouds: Cloud) -> Leaves | None:
     num, room, _ = clouds.points.shape
     if not room:
         return None
-    each = max(_IN_LEAF, -(-room // _MOST_LEAVES))
-    points = jnp.pad(clouds.points, ((0, 0), (0, -room % each), (0, 0)))
+    each = min(_IN_GROUP, -(-room // _IN_LEAF))
+    points = jnp.pad(clouds.points, ((0, 0), (0, -room % (each * _IN_LEAF)), (0, 0)))
     exists = jnp.arange(points.shape[1]) < clouds.num[:, None]
-    points, exists = points.reshape(num, -1, each, 3), exists.reshape(num, -1, each, 1)
-    points = jnp.where(exists, points, points[:, :, :1])
-    points = jnp.where(exists[:, :, :1], points, _FAR)
-    low, high = (jnp.moveaxis(f(points, axis=2), 1, 2) for f in (jnp.min, jnp.max))
+    shape = num, -1, each, _IN_LEAF
+    points, exists = points.reshape(*shape, 3), exists.reshape(*shape, 1)
+    points = jnp.where(exists, points, points[:, :, :, :1])
+    filled = exists[:, :, :, 0]
+    low, high = points.min(axis=3), points.max(axis=3)  # [P G E 3]
+    outer = (
+        jnp.min(low, axis=2, where=filled, initial=jnp.inf),
+        jnp.max(high, axis=2, where=filled, initial=-jnp.inf),
+    )
+    points = jnp.where(exists[:, :, :, :1], points, _FAR)
+    points = jnp.swapaxes(points.reshape(num, -1, _IN_LEAF, 3), 2, 3)
+    return Leaves(points, _boxes(low, high, filled), _boxes(*outer, filled.any(axis=2)))
+
+
+def _boxes(low: jax.Array, high: jax.Array, filled: jax.Array) -> Boxes:
+    """Corners `[..., K, 3]` as boxes."""
+    middles = jnp.where(filled, (low + high) / 2, _FAR)
     # The box is to hold its points whatever is rounded off in its middle.
-    halves = (high - low) / 2 + _SHARE * (jnp.abs(low) + jnp.abs(high))
-    return Leaves(jnp.swapaxes(points, 2, 3), (low + high) / 2, halves)
+    halves = jnp.where(filled, (high - low) / 2 + _SHARE * (jnp.abs(low) + jnp.abs(high)), 0.0)
+    return Boxes(jnp.swapaxes(middles, -1, -2), jnp.swapaxes(halves, -1, -2))
 
 
 def clear_of_points(
@@ -139,36 +174,68 @@ def clear_of_points(
             middle = transform(list(position), axes, list(part_middles[part].T))
             more = ball + _ROUNDING
             box = _Box(middle, axes, [x + more for x in half], [x + more for x in around])
-            boxes, extents = ([x[of, a] for a in range(3)] for x in (leaves.middles, leaves.halves))
-            lanes, taken = jnp.arange(len(lane))[:, None], min(_TAKEN, leaves.points.shape[1])
+            lanes = jnp.arange(len(lane))[:, None]
 
-            def points_left(state: _State) -> jax.Array:
-                return ~(state.gaps.min(axis=1) > 0)
+            def side_by_side(array: jax.Array) -> _Vector:
+                """`[N K 3 E]` as three `[N K*E]`."""
+                return [array[:, :, a].reshape(len(lane), -1) for a in range(3)]
 
-            def leaves_left(state: _State) -> jax.Array:
-                return ~(state.leaves.min(axis=1) > 0)
-
-            def to_take(state: _State) -> jax.Array:
-                return ~state.touching & ~points_left(state) & leaves_left(state)
-
-            def take_leaves(state: _State) -> _State:
-                takes = to_take(state)[:, None]
-                near, chosen = jax.lax.top_k(-state.leaves, taken)
-                points = leaves.points[of[:, None], chosen]  # [N K 3 B]
-                points = [points[:, :, a].reshape(len(lane), -1) for a in range(3)]
-                found = [shape.gaps(points) for shape in (box, *state.planes)]
-                left = state.leaves.at[lanes, chosen].set(jnp.where(takes, jnp.inf, -near))
-                return state._replace(
-                    leaves=left,
-                    points=[jnp.where(takes, *x) for x in zip(points, state.points, strict=True)],
-                    gaps=jnp.where(takes, functools.reduce(jnp.maximum, found), state.gaps),
+            def taken(
+                state: _State,
+                outer: _Taken,
+                inner: _Taken,
+                takes: jax.Array,
+                most: int,
+                look: Callable[[jax.Array], tuple[jax.Array, _Vector, _Vector | None]],
+            ) -> tuple[_Taken, _Taken]:
+                """Where it `takes`, what is in the nearest of `outer` in place of `inner`."""
+                near, chosen = jax.lax.top_k(-outer.gaps, min(most, outer.gaps.shape[1]))
+                number, middles, halves = look(outer.number[lanes, chosen])
+                found = [shape.gaps(middles, halves) for shape in (box, *state.planes)]
+                fresh = _Taken(number, middles, halves, functools.reduce(jnp.maximum, found))
+                rest = outer.gaps.at[lanes, chosen].set(jnp.where(takes, jnp.inf, -near))
+                return outer._replace(gaps=rest), jax.tree.map(
+                    lambda new, old: jnp.where(takes, new, old), fresh, inner
                 )
 
+            def in_groups(number: jax.Array) -> tuple[jax.Array, _Vector, _Vector]:
+                each = leaves.boxes.middles.shape[-1]
+                inside = (number[:, :, None] * each + jnp.arange(each)).reshape(len(lane), -1)
+                middles, halves = (side_by_side(x[of[:, None], number]) for x in leaves.boxes)
+                return inside, middles, halves
+
+            def in_leaves(number: jax.Array) -> tuple[jax.Array, _Vector, None]:
+                points = side_by_side(leaves.points[of[:, None], number])
+                return jnp.zeros(points[0].shape, jnp.int32), points, None
+
+            def lacks_leaves(state: _State) -> jax.Array:
+                left = state.points.left() | state.leaves.left()
+                return ~state.touching & ~left & state.groups.left()
+
+            def lacks_points(state: _State) -> jax.Array:
+                left = state.leaves.left() | state.groups.left()
+                return ~state.touching & ~state.points.left() & left
+
+            def take_groups(state: _State) -> _State:
+                takes = lacks_leaves(state)[:, None]
+                groups, inside = taken(
+                    state, state.groups, state.leaves, takes, _TAKEN_GROUPS, in_groups
+                )
+                return state._replace(groups=groups, leaves=inside)
+
+            def take_leaves(state: _State) -> _State:
+                state = jax.lax.while_loop(lambda x: jnp.any(lacks_leaves(x)), take_groups, state)
+                takes = lacks_points(state)[:, None]
+                rest, points = taken(
+                    state, state.leaves, state.points, takes, _TAKEN_LEAVES, in_leaves
+                )
+                return state._replace(leaves=rest, points=points)
+
             def one_round(state: _State) -> _State:
-                state = jax.lax.while_loop(lambda x: jnp.any(to_take(x)), take_leaves, state)
-                chosen = jnp.argmin(state.gaps, axis=1)[:, None]
-                point = [x[lanes, chosen][:, 0] for x in state.points]
-                asked = ~state.touching & points_left(state)
+                state = jax.lax.while_loop(lambda x: jnp.any(lacks_points(x)), take_leaves, state)
+                chosen = jnp.argmin(state.points.gaps, axis=1)[:, None]
+                point = [x[lanes, chosen][:, 0] for x in state.points.middles]
+                asked = ~state.touching & state.points.left()
                 nothing = jnp.zeros_like(ball)
                 shapes = convex.Obstacles(
                     jnp.stack([nothing] * 3), nothing, jnp.where(asked, ball, _NOTHING)
@@ -180,26 +247,36 @@ def clear_of_points(
                 plane = _Planes(list(found.directions), point, gap)
                 return _State(
                     state.rounds + 1,
-                    jnp.maximum(state.leaves, plane.gaps(boxes, extents)),
-                    state.points,
-                    jnp.maximum(state.gaps, plane.gaps(state.points)),
+                    state.groups.beyond(plane),
+                    state.leaves.beyond(plane),
+                    state.points.beyond(plane),
                     [plane, *state.planes[:-1]],
                     state.touching | (asked & ~(gap > 0)),
                 )
 
             def is_open(state: _State) -> jax.Array:
-                return ~state.touching & (points_left(state) | leaves_left(state))
+                left = state.points.left() | state.leaves.left() | state.groups.left()
+                return ~state.touching & left
 
             def unfinished(state: _State) -> jax.Array:
                 return jnp.any(is_open(state)) & (state.rounds < _MOST_ROUNDS)
 
+            def nothing_taken(num: int, *, boxes: bool) -> _Taken:
+                zeros = jnp.zeros((len(lane), num))
+                halves = [zeros] * 3 if boxes else None
+                return _Taken(zeros.astype(jnp.int32), [zeros] * 3, halves, zeros + jnp.inf)
+
+            _, num_groups, _, each = leaves.boxes.middles.shape
+            num_leaves = min(_TAKEN_GROUPS, num_groups) * each
+            num_points = min(_TAKEN_LEAVES, num_leaves) * leaves.points.shape[-1]
+            middles, halves = ([x[of, a] for a in range(3)] for x in leaves.groups)
+            numbers = jnp.broadcast_to(jnp.arange(num_groups), middles[0].shape)
             zeros = jnp.zeros(len(lane))
-            none = jnp.zeros((len(lane), taken * leaves.points.shape[-1]))
             start = _State(
                 jnp.int32(0),
-                box.gaps(boxes, extents),
-                [none] * 3,
-                none + jnp.inf,
+                _Taken(numbers, middles, halves, box.gaps(middles, halves)),
+                nothing_taken(num_leaves, boxes=True),
+                nothing_taken(num_points, boxes=False),
                 [_Planes([zeros] * 3, [zeros] * 3, zeros - jnp.inf)] * _PLANES,
                 jnp.zeros(len(lane), bool),
             )
