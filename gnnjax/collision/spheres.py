@@ -36,7 +36,7 @@ FAR = 1e6  # m; where obstacles are that do not exist
 
 # What spheres say of a configuration is a word of 32 bits: 0 where they prove it free. Bit
 # m % OBSTACLE_BITS is set where they leave open whether obstacle m is touched, CLOUD where they
-# leave open whether the cloud is, ITSELF where they leave open whether the arm touches itself,
+# leave open whether points are, ITSELF where they leave open whether the arm touches itself,
 # BLOCKED where they prove a contact.
 OBSTACLE_BITS = 29
 CLOUD, ITSELF, BLOCKED = (np.uint32(1 << bit) for bit in (29, 30, 31))
