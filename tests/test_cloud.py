@@ -12,19 +12,22 @@ from scipy.spatial.distance import cdist
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import base_clear, certify_path, clearances
+from gnnjax.collision.certify import base_clear, certify_edges, certify_path, clearances
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.fused import boxes_clear
-from gnnjax.collision.spheres import BLOCKED
+from gnnjax.collision.points import leaves_of
+from gnnjax.collision.spheres import BLOCKED, CLOUD
 from gnnjax.errors import InputError
 from gnnjax.planning.load import load_planner
 from gnnjax.problems.file import load_file, save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.batches import stack_scenes
-from gnnjax.scene.cloud import BUCKETS, NODES, REACH, make_cloud, point_cloud
+from gnnjax.scene.cloud import BUCKETS, NODES, REACH, make_cloud, point_cloud, with_room
 from gnnjax.scene.field import distance_field, make_grid
-from gnnjax.scene.lookup import lookup, squared_distance_to
+from gnnjax.scene.lookup import corners_around, lookup, squared_distance_to
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
+from gnnjax.scene.own_points import distances_to_hull
 from gnnjax.scene.point_files import points_from_file
 from gnnjax.scene.scene import inflated, scene_from_shapes, without_points
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
@@ -97,6 +100,12 @@ def test_a_look_up_never_exceeds_the_distance_and_is_hardly_less(kind):
             away = np.sqrt(exact) - np.sqrt(np.maximum(found, 0))
             assert away[close].mean() < 0.1 * diagonal
         assert (looked_up(cloud, [[REACH + 0.01, 0, 0]]) < 0).all()
+        # An upper bound, too: it goes to a node, half a diagonal away at most, and on from there.
+        corners = corners_around(lookup(cloud), list(jnp.asarray(at, jnp.float32).T))
+        for reach in (0.02, 0.05, 0.3):
+            within = np.asarray(corners.are_within(jnp.float32(reach)))
+            assert (np.sqrt(exact) < reach + 1e-5)[within].all()
+            assert within[held & (np.sqrt(exact) + diagonal < reach)].all()
 
 
 def test_voxels_enclose_what_is_in_them_and_stand_out_by_no_more_than_they_say():
@@ -115,13 +124,26 @@ def test_voxels_enclose_what_is_in_them_and_stand_out_by_no_more_than_they_say()
     assert sorted(kept.points.tolist()) == sorted(lone.tolist())
 
 
-def spheres_at(robot, q):
-    """Centres `[B, G, 3]` of the spheres that joints move, and their radii."""
+def gaps(robot, scene, q):
+    """m, of the parts that joints move to the balls of a scene's cloud; 1 where it is 0.05 or more
+    along an axis of a part's body."""
     positions, rotations = (np.asarray(x, float) for x in forward_kinematics(robot, jnp.asarray(q)))
-    moving = [g for g, b in enumerate(robot.geom_bodies) if b >= 0 and is_moved(robot, b)]
-    bodies = robot.geom_bodies[moving]
-    turned = np.einsum("bgij,gj->bgi", rotations[:, bodies], robot.geom_centers[moving])
-    return positions[:, bodies] + turned, robot.geom_radii[moving]
+    points, ball = scene.cloud.points[: scene.cloud.num].astype(float), float(scene.cloud.radius)
+    found = np.ones(len(q))
+    for part in robot.parts:
+        if not is_moved(robot, part.body):
+            continue
+        reach = part.radius + ball + 0.05
+        low, high = part.vertices.min(axis=0) - reach, part.vertices.max(axis=0) + reach
+        for i, (origin, turn) in enumerate(
+            zip(positions[:, part.body], rotations[:, part.body], strict=True)
+        ):
+            seen = (points - origin) @ turn
+            near = seen[((seen > low) & (seen < high)).all(axis=1)]
+            if len(near):
+                gap = distances_to_hull(part.vertices, near).min() - part.radius - ball
+                found[i] = min(found[i], gap)
+    return found
 
 
 def is_moved(robot, body):
@@ -130,14 +152,6 @@ def is_moved(robot, body):
             return True
         body = robot.bodies[body].parent
     return False
-
-
-def gaps(robot, scene, q):
-    """m, of spheres to the balls of a scene's cloud, by brute force."""
-    centers, radii = spheres_at(robot, q)
-    points = scene.cloud.points[: scene.cloud.num].astype(float)
-    away = brute_force(points, centers.reshape(-1, 3)).reshape(centers.shape[:2])
-    return (away - radii).min(axis=1) - float(scene.cloud.radius)
 
 
 def compiled(robot, backend):
@@ -183,8 +197,10 @@ def test_kernels_accept_nothing_that_touches_and_refuse_nothing_that_is_free_by_
     grown = verdicts(place, each, inflated(batch, 0.01), q)
     assert 0.2 < free_alone.mean()
     touched = 0
-    # Halfway between points far apart, look-ups are short by more than before a wall.
-    enough = np.linalg.norm(scenes[0].cloud.cells), 0.01
+    # Halfway between points far apart, look-ups, which are all that MJX has, are short by more than
+    # before a wall.
+    look_ups = np.linalg.norm(scenes[0].cloud.cells), 0.01
+    enough = look_ups if arm == "tiny" else (0.003, 0.003)
     for scene, free, more, some in zip(scenes, found, grown, enough, strict=False):
         gap = gaps(crane, scene, q)
         assert not (free & (gap < 0)).any()
@@ -201,34 +217,85 @@ def test_kernels_accept_nothing_that_touches_and_refuse_nothing_that_is_free_by_
     assert touched > 30
 
 
-def test_what_the_cloud_blocks_is_blocked_in_the_first_level(crane):
+def test_what_look_ups_leave_open_is_decided_by_points_and_blocked_without_them(crane, kernels):
     rng = np.random.default_rng(2)
-    checker = make_checker(crane)
-    scene = scene_from_points(draw(rng, "wall")[:, [2, 0, 1]], 0.01, None)
-    q = random_configurations(rng, crane, 300)
-    placed = checker.place(stack_scenes([scene]))
-    first = jax.jit(checker.levels.first)(placed, np.zeros(1, np.int32), q[None])
-    first = np.asarray(first)[0]
-    gap = gaps(crane, scene, q)
-    assert (first[gap < 0] >= BLOCKED).all()
-    assert (first < BLOCKED).sum() > 20
+    scene = scene_from_points(draw(rng, "wall")[:, [2, 0, 1]] - [0.2, 0, 0], 0.01, None)
+    first, second = make_checker(crane).levels
+    q = random_configurations(rng, crane, 400)
+    _, place, each, _ = kernels
+    batch = stack_scenes([scene, scene, scene_from_shapes([])])
+    placed, owner = place(batch), np.zeros(len(q), np.int32)
+    level = jax.jit(first)
+    words, itself = (np.asarray(level(placed, owner[:1] + i, q[None]))[0] for i in (0, 2))
+    is_open = words & CLOUD > 0
+    gap, alone = gaps(crane, scene, q), words & ~CLOUD == 0
+    assert (is_open | (words >= BLOCKED))[gap < 0].all()
+    # What is deep in the cloud needs no second look.
+    deep = (words >= BLOCKED) & (itself < BLOCKED)
+    assert deep.sum() > 10
+    assert (gap[deep] < 0).all()
+    clear = np.asarray(jax.jit(second.clear_of_cloud)(placed, owner, q, is_open))
+    assert clear[~is_open].all()
+    assert 2 < (clear & is_open).sum() < is_open.sum() - 30
+    np.testing.assert_array_equal(verdicts(place, each, batch, q)[0][alone], clear[alone])
+    blind = jax.jit(second.clear_of_cloud)(without_leaves(placed), owner, q, is_open)
+    np.testing.assert_array_equal(blind, ~is_open)
 
 
-def test_the_c_engine_finds_no_contact_in_what_is_accepted(crane, kernels):
+def test_leaves_and_groups_hold_every_point_and_no_other_in_boxes_around_them():
+    rng = np.random.default_rng(9)
+    balls = [point_cloud(rng.normal(0, 0.25, (5000, 3)), 0.02, None)]
+    balls += [point_cloud(draw(rng, kind), 0.02, None) for kind in ("blob", "one")]
+    clouds = [make_cloud([each]) for each in balls]
+    room = len(clouds[0].points)
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *(with_room(cloud, room) for cloud in clouds))
+    leaves = jax.tree.map(np.asarray, leaves_of(stacked))
+    assert leaves.points.shape == (3, room // 32, 3, 32)
+    num_groups = room // 32 // 64
+    by_group = leaves.points.reshape(3, num_groups, 64, 3, 32)
+    there = np.abs(by_group[..., :1, :1]) < 1e3
+    for middles, halves in (
+        (x.swapaxes(2, 3)[..., None] for x in leaves.boxes),
+        (x.swapaxes(1, 2)[:, :, None, :, None] for x in leaves.groups),
+    ):
+        assert ((np.abs(by_group - middles) <= halves) | ~there).all()
+    assert (leaves.boxes.middles.swapaxes(2, 3)[~there[..., 0, 0]] > 1e3).all()
+    assert (leaves.groups.middles.swapaxes(1, 2)[~there.any(axis=2)[..., 0, 0]] > 1e3).all()
+    for cloud, points in zip(clouds, leaves.points.swapaxes(2, 3).reshape(3, -1, 3), strict=True):
+        held = np.unique(points[np.abs(points[:, 0]) < 1e3], axis=0)
+        np.testing.assert_array_equal(held, np.unique(cloud.points[: cloud.num], axis=0))
+    sizes = leaves.boxes.halves.swapaxes(2, 3)[there[..., 0, 0]]
+    assert np.median(sizes) < 0.2  # of clouds that reach 0.75 m from their middles
+
+
+def test_the_c_engine_finds_no_contact_in_what_is_accepted_and_one_in_what_is_not(crane, kernels):
     rng = np.random.default_rng(3)
-    scene = scene_from_points(draw(rng, "wall")[::3, [2, 0, 1]], 0.02, None)
+    scene = scene_from_points(draw(rng, "wall")[::3, [2, 0, 1]] - [0.2, 0, 0], 0.02, None)
     model = build_world(crane, len(scene.mask), scene.cloud)
     data = mujoco.MjData(model)
     place_boxes(model, data, scene)
-    q = random_configurations(rng, crane, 400)
-    found = verdicts(*kernels[1:3], stack_scenes([scene] * 3), q)[0]
-    collides = np.empty(len(q), bool)
-    for i, at in enumerate(q):
-        data.qpos[:] = at
+    model.geom_margin[:] = 0.01
+    of_cloud = model.geom_bodyid == model.body("cloud of points").id
+
+    def distances(q):
+        """m, to the balls and of the arm to itself, as far as they are within the margin."""
+        data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
-        collides[i] = (data.contact.dist[: data.ncon] < -1e-5).any()
+        with_cloud = of_cloud[data.contact.geom[: data.ncon]].any(axis=1)
+        found = data.contact.dist[: data.ncon]
+        return [found[x].min(initial=0.01) for x in (with_cloud, ~with_cloud)]
+
+    q = random_configurations(rng, crane, 2400)
+    q = q[np.argsort(np.abs(gaps(crane, scene, q)))[:400]]  # the nearest to touching
+    found, _, alone = verdicts(
+        *kernels[1:3], stack_scenes([scene, scene, scene_from_shapes([])]), q
+    )
+    away, itself = np.transpose([distances(at) for at in q])
+    collides = np.minimum(away, itself) < -1e-5
     assert not (found & collides).any()
+    assert found[alone & (away > 0.003)].all()
+    assert (alone & (away > 0.003) & (away < 0.01)).sum() > 5
     assert found.sum() > 30
     assert collides.sum() > 30
     with pytest.raises(InputError, match=r"cloud of \d+ points, and the MuJoCo world one of 0"):
@@ -236,12 +303,24 @@ def test_the_c_engine_finds_no_contact_in_what_is_accepted(crane, kernels):
     exact = clearances(crane, scene, q, most=0.0) > 0
     assert not (exact & collides).any()
     assert not (found & ~exact).any()
-    with_cloud = np.flatnonzero(
-        ~exact & (clearances(crane, scene_from_shapes([]), q, most=0.0) > 0)
-    )
-    contact = deepest_contact(crane, scene, q[with_cloud[0]])
+    touching = (away < -1e-3) & (itself > 0.001)
+    deepest = int(np.where(touching, away, 0).argmin())
+    contact = deepest_contact(crane, scene, q[deepest])
     assert contact.second == "the cloud"
-    assert 0 < contact.depth == pytest.approx(-gaps(crane, scene, q)[with_cloud[0]], abs=1e-5)
+    assert contact.depth == pytest.approx(-gaps(crane, scene, q)[deepest], abs=1e-5)
+    # Edges that graze.
+    near = np.flatnonzero(found & (away < 0.01))
+    starts = np.repeat(q[near].astype(float), 10, axis=0)
+    ends = starts + rng.uniform(-0.03, 0.03, starts.shape)
+    certified = certify_edges(crane, scene, starts, ends)
+    assert certified.sum() > 20
+    assert (~certified).sum() > 5
+    least = [
+        min(min(distances(a + t * (b - a))) for t in np.linspace(0, 1, 20))
+        for a, b in zip(starts[certified], ends[certified], strict=True)
+    ]
+    assert min(least) > -1e-5
+    assert min(least) < 0.002
 
 
 def test_certificates_are_of_the_points_and_do_not_believe_the_grid(tiny):
@@ -285,7 +364,7 @@ def test_boxes_clear_and_base_clear_tell_of_the_cloud_last(tiny):
 def test_queries_say_what_the_cloud_touches(tiny):
     planner = load_planner(tiny.path)
     inside = scene_from_points([[0.2, 0, 0]], 0.02)
-    with pytest.raises(InputError, match=r"start .* spheres around .* and the cloud overlap by"):
+    with pytest.raises(InputError, match=r"start .* and the cloud overlap by"):
         planner.plan(inside, [0, 0, 0], [2, 0, 0])
     in_base = scene_from_points([[0, 0, 0.05]], 0.02)
     with pytest.raises(InputError, match="the cloud of the scene reaches 50 mm into the base"):

@@ -24,7 +24,7 @@ from gnnjax.collision.spheres import Obstacle, Passes, Placed
 from gnnjax.kept import kept_result
 
 SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
-_WORD = 32  # bits
+WORD = 31  # bits that tell of parts; above them there is room for `BLOCKED`
 
 
 def hulls_of(robot: Robot) -> convex.Parts:
@@ -52,11 +52,13 @@ class PartTests(NamedTuple):
     `clear_of_obstacles(placed, owner [N], number [N], q [N D], wanted [N]) -> [N]`, each of one
     obstacle, by its number.
     `clear_of_itself(q [N D], wanted [N]) -> [N]`.
-    Both are true where it is not wanted.
+    `clear_of_cloud(placed, owner [N], q [N D], wanted [N]) -> [N]`.
+    All are true where it is not wanted.
     """
 
     clear_of_obstacles: Callable[[Placed, jax.Array, jax.Array, jax.Array, jax.Array], jax.Array]
     clear_of_itself: Callable[[jax.Array, jax.Array], jax.Array]
+    clear_of_cloud: Callable[[Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
 
 
 def part_tests(robot: Robot, passes: Passes) -> PartTests:
@@ -68,25 +70,25 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
     radii, part_of, pair_of = robot.geom_radii.tolist(), robot.geom_parts.tolist(), _pairs(robot)
 
     def touching(obstacle: Obstacle, q: Float[Array, "N D"]) -> UInt[Array, "W N"]:
-        """Bit p % 32 of word p // 32: spheres of part p touch the obstacle."""
-        found = [jnp.zeros(len(q), jnp.uint32)] * -(-len(bodies) // _WORD)
+        """Bit p % WORD of word p // WORD: spheres of part p touch the obstacle."""
+        found = [jnp.zeros(len(q), jnp.uint32)] * -(-len(bodies) // WORD)
         for g, squared, ball in passes.to_obstacle(joint_terms(robot, q), obstacle):
-            word, bit = divmod(part_of[g], _WORD)
+            word, bit = divmod(part_of[g], WORD)
             hit = ~(squared > (radii[g] + ball) ** 2)
             found[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
         return jnp.stack(found)
 
     def touching_itself(q: Float[Array, "C D"], turns: jax.Array) -> UInt[Array, "V C"]:
-        """Bit u % 32 of word u // 32: spheres of the two of `Robot.part_pairs[u]` touch."""
+        """Bit u % WORD of word u // WORD: spheres of the two of `Robot.part_pairs[u]` touch."""
         joints = joint_terms(robot, q)
-        words = [jnp.zeros(len(q), jnp.uint32)] * -(-couples.shape[1] // _WORD)
+        words = [jnp.zeros(len(q), jnp.uint32)] * -(-couples.shape[1] // WORD)
         for pairs in passes.self_pairs:
 
             def self_turn(_, words, pairs=pairs):
                 fresh, words = jax.lax.optimization_barrier((joints, words))
                 words = list(words)
                 for i, j, squared in passes.to_itself(fresh, pairs):
-                    word, bit = divmod(pair_of[part_of[i], part_of[j]], _WORD)
+                    word, bit = divmod(pair_of[part_of[i], part_of[j]], WORD)
                     hit = ~(squared > (radii[i] + radii[j]) ** 2)
                     words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
                 return words
@@ -105,7 +107,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         parts = jax.tree.map(
             lambda x: jnp.moveaxis(x[number, ..., owner], 0, -1), tuple(placed)[:-1]
         )
-        obstacle, frames = Obstacle(*parts), _frames(robot, q)
+        obstacle, frames = Obstacle(*parts), part_frames(robot, q)
         turned = obstacle.rotation
         if turned is None:
             turned = jnp.broadcast_to(jnp.eye(3)[..., None], (3, 3, len(q)))
@@ -117,10 +119,10 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
             shapes = convex.Obstacles(obstacle.half_extents[:, lane], disc, ball)
             return convex.separate_obstacles(hulls, part, position, rotation, shapes).gaps
 
-        return _test_pairs(_bits(touching(obstacle, q), len(bodies)) & wanted, gaps)
+        return test_pairs(bits_of(touching(obstacle, q), len(bodies)) & wanted, gaps)
 
     def clear_of_itself(q: Float[Array, "N D"], wanted: Bool[Array, " N"]) -> Bool[Array, " N"]:
-        frames = _frames(robot, q)
+        frames = part_frames(robot, q)
 
         def gaps(pair: jax.Array, lane: jax.Array) -> jax.Array:
             first, second = couples[:, pair]
@@ -136,7 +138,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         if not couples.size:
             return jnp.ones(len(q), bool)
         words = touching_itself(q, jnp.any(wanted).astype(jnp.int32))
-        return _test_pairs(_bits(words, couples.shape[1]) & wanted, gaps)
+        return test_pairs(bits_of(words, couples.shape[1]) & wanted, gaps)
 
     return PartTests(clear_of_obstacles, clear_of_itself)
 
@@ -160,7 +162,7 @@ class _Frames:
         return self.origins[body, :, at].T, jnp.moveaxis(self.axes[body, :, :, at], 0, -1)
 
 
-def _frames(robot: Robot, q: jax.Array) -> _Frames:
+def part_frames(robot: Robot, q: jax.Array) -> _Frames:
     def full(component: Any) -> jax.Array:
         return jnp.broadcast_to(jnp.asarray(component, q.dtype), len(q))
 
@@ -185,13 +187,13 @@ def _seen(turned: jax.Array, origin: jax.Array, axes: jax.Array) -> tuple[jax.Ar
     return position, jnp.sum(turned[:, :, None] * axes[None], axis=1)
 
 
-def _bits(words: jax.Array, num: int) -> jax.Array:
+def bits_of(words: jax.Array, num: int) -> jax.Array:
     """Words `[..., W, C]` as booleans `[..., num, C]`."""
     place = jnp.arange(num)
-    return (words[..., place // _WORD, :] >> (place % _WORD)[:, None]) & 1 > 0
+    return (words[..., place // WORD, :] >> (place % WORD)[:, None]) & 1 > 0
 
 
-def _test_pairs(
+def test_pairs(
     wanted: Bool[Array, "U N"], gaps: Callable[[jax.Array, jax.Array], jax.Array]
 ) -> Bool[Array, " N"]:
     """Configurations of which no wanted pair is in contact.

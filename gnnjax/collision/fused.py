@@ -210,14 +210,19 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         num = len(flat)
         many = _OPEN_AT_ONCE if platform() == "cpu" else max(_OPEN_AT_ONCE, num // _OPEN_SHARE)
 
+        # All that is open, once: looking for the next in each turn took longer than all the rest.
+        is_open = (flat > 0) & (flat < BLOCKED)
+        (queue,) = jnp.nonzero(is_open, size=num, fill_value=num)
+        queue = jnp.pad(queue, (0, many), constant_values=num)
+
         def decide_some(state, second=second):
-            left, free = state
-            (rows,) = jnp.nonzero(left, size=many, fill_value=num)
+            begin, free = state
+            rows = jax.lax.dynamic_slice(queue, (begin,), (many,))
             at = jnp.minimum(rows, num - 1)
             asked, some = jnp.where(rows < num, flat[at], 0), configurations[at]
             clear = second.clear_of_itself(some, asked & ITSELF > 0)
             clear = clear_of_named(placed, owner[at // each], asked, some, clear)
-            return left.at[rows].set(False, mode="drop"), free.at[rows].set(clear, mode="drop")
+            return begin + many, free.at[rows].set(clear, mode="drop")
 
         def clear_of_named(placed, owner, words, q, clear, second=second):
             """Which are clear of the obstacles that words name, of those that are `clear`."""
@@ -237,8 +242,8 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             state = named.reshape(-1), clear
             return jax.lax.while_loop(lambda state: jnp.any(state[0]), some_pairs, state)[1]
 
-        state = (flat > 0) & (flat < BLOCKED), flat == 0
-        free = jax.lax.while_loop(lambda state: jnp.any(state[0]), decide_some, state)[1]
+        num_open, state = is_open.sum(), (jnp.int32(0), flat == 0)
+        free = jax.lax.while_loop(lambda state: state[0] < num_open, decide_some, state)[1]
         return free.reshape(words.shape)
 
     def placed_alone(scene: Scene) -> tuple[Placed, jax.Array]:

@@ -107,15 +107,24 @@ def _gaps_to_clouds(
     frames: np.ndarray,
     middles: np.ndarray,
 ) -> Gaps:
-    """Of spheres alone, as the planning kernels see clouds: no part is looked at."""
     link, moment = np.indices((len(body.moving), len(at.scene))).reshape(2, -1)
     found = _Links(body.moving[link], moment, np.zeros_like(moment))
 
     def distances(points: np.ndarray, thing: np.ndarray, scene: np.ndarray) -> np.ndarray:
         return obstacles.cloud_distances(points, scene)  # of a scene's only cloud
 
-    _, moment, _, gap, motion = _spheres_of(found, distances, body, at, rates, frames, middles)
-    return Gaps(moment, gap, motion, ~(gap > 0))
+    sphere, moment, _, gap, motion = _spheres_of(found, distances, body, at, rates, frames, middles)
+    part = body.part[sphere]
+
+    def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
+        placed = _pick(frames, body.part_links[part[rows]], moment[rows])
+        scene = at.scene[moment[rows]]
+        return body.hulls.from_clouds(part[rows], placed, obstacles, scene, margin)
+
+    most = gap + body.slack[sphere]
+    of_part = _pick(rates.parts, part, at.motion[moment]) * at.share[moment] + _ROUNDING
+    key = moment * len(body.part_reach) + part
+    return _looked_at_closely(moment, gap, motion, most, of_part, key, ask)
 
 
 class _Links(NamedTuple):

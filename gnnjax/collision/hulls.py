@@ -19,6 +19,7 @@ from gnnjax.collision.exact import hulls_of
 from gnnjax.collision.obstacles import Obstacles, sum_of_squares
 from gnnjax.kept import keep
 
+_BEYOND = 1e-6  # m; how much more than the margin is asked for, before points
 _PAIRS_A_CALL = 128  # that planes are looked for at once; fixed, so that it is compiled once
 
 
@@ -28,6 +29,11 @@ class Hulls:
     def __init__(self, robot: Robot):
         self.radii = np.array([part.radius for part in robot.parts])
         self.vertices = [part.vertices for part in robot.parts]
+        low, high = (
+            np.stack([f(x, axis=0) for x in self.vertices], axis=1) for f in (np.min, np.max)
+        )
+        # A box around each part, in its body's frame, `[3, T]` m.
+        self._middles, self._halves = (low + high) / 2, (high - low) / 2 + self.radii
         self._parts = hulls_of(robot)
         self._to_obstacles = keep(convex.separate_obstacles)
         self._to_parts = keep(convex.separate_parts)
@@ -90,6 +96,63 @@ class Hulls:
         axes = other_frames[:3]
         normal = _unit(sum(axis * along for axis, along in zip(axes, directions, strict=True)))
         return self._lowest(part, frames, normal) + self._lowest(other, other_frames, -normal)
+
+    def from_clouds(
+        self,
+        part: np.ndarray,
+        frames: np.ndarray,
+        obstacles: Obstacles,
+        scene: np.ndarray,
+        margin: np.ndarray,
+    ) -> np.ndarray:
+        """How far parts are from clouds; see `from_obstacles`.
+
+        Of the points that may be too near, the one that seems nearest is asked about, and every
+        plane that is found counts for all of a part's points.
+        """
+        offset = self._middles[:, part]
+        middle = frames[3] + sum(axis * x for axis, x in zip(frames[:3], offset, strict=True))
+        around = np.sqrt(sum_of_squares(self._halves[:, part]))
+        ball, enough = obstacles.cloud_radii[scene], margin + _BEYOND
+        row, points = obstacles.cloud_points(middle, around + ball + enough, scene)
+        away = points - middle[:, row]
+        beside = [
+            np.abs(_dot(axis[:, row], away)) - self._halves[a, part[row]]
+            for a, axis in enumerate(frames[:3])
+        ]
+        gap = np.max(beside, axis=0) - ball[row]
+        left = np.flatnonzero(~(gap > enough[row]))
+        row, points, gap = row[left], points[:, left], gap[left]
+        # The nearest point that was asked about; what is farther away does not matter.
+        nearest, asked = enough.copy(), np.zeros(len(row), bool)
+        while True:
+            open_points = np.flatnonzero(~asked & (gap < nearest[row]) & (nearest[row] > 0))
+            if not len(open_points):
+                return nearest
+            # Of each part, the first in order of their gaps.
+            order = open_points[np.lexsort((gap[open_points], row[open_points]))]
+            chosen = order[np.flatnonzero(np.diff(row[order], prepend=-1))]
+            asked[chosen] = True
+            of = row[chosen]
+            seen = frames[..., of]
+            shapes = convex.Obstacles(
+                np.zeros(points[:, chosen].shape), 0 * of, ball[of] + margin[of]
+            )
+            normal = _unit(
+                self._look(
+                    self._to_obstacles,
+                    part[of],
+                    seen[3] - points[:, chosen],
+                    seen[:3].swapaxes(0, 1),
+                    shapes,
+                )
+            )
+            height = np.full(len(part), -np.inf)
+            height[of] = self._lowest(part[of], seen, normal) - ball[of]
+            normals = np.zeros((3, len(part)))
+            normals[:, of] = normal
+            gap = np.maximum(gap, height[row] - _dot(normals[:, row], points))
+            nearest[of] = np.minimum(nearest[of], gap[chosen])
 
     def _look(self, separate: Callable[..., convex.Separation], *pairs: Any) -> np.ndarray:
         """Directions `[3, N]` of planes, looked for in calls of one size."""

@@ -26,6 +26,7 @@ class Obstacles:
     centers: np.ndarray  # [3 M P] m; any obstacle lies in the ball of its radius about its center
     radii: np.ndarray  # [M P] m
     has_clouds: bool
+    cloud_radii: np.ndarray  # [P] m, of their balls; where there are clouds
     allowed: np.ndarray | None  # [L+1 M P] contacts that are meant, by body; the world comes last
     arm: np.ndarray | None  # the `arm_key` of the arm that these are of, in each scene
 
@@ -55,7 +56,7 @@ class Obstacles:
             self.allowed = np.concatenate([pairs.T, np.zeros((1, *self.exists.shape), bool)])
         self.has_clouds = scenes.cloud is not None
         if self.has_clouds:
-            points, num, self._cloud_radii = _clouds(scenes)
+            points, num, self.cloud_radii = _clouds(scenes)
             self._clouds = [own[:count].tobytes() for own, count in zip(points, num, strict=True)]
             self._dtype = points.dtype.str
 
@@ -63,12 +64,29 @@ class Obstacles:
         """Distances [m] of points `[3, N]`, each to the balls of its scene's cloud, `[N]`; infinite
         where it has none. Found among the points themselves, whatever the kernels' grids say."""
         found = np.full(len(scene), np.inf)
-        for number in np.unique(scene):
+        for number in np.unique(scene).tolist():
             if self._clouds[number]:
                 rows = np.flatnonzero(scene == number)
-                away, _ = _tree(self._clouds[number], self._dtype).query(points[:, rows].T)
-                found[rows] = away - self._cloud_radii[number]
+                away, _ = self._tree(number).query(points[:, rows].T)
+                found[rows] = away - self.cloud_radii[number]
         return found
+
+    def cloud_points(
+        self, places: np.ndarray, reach: np.ndarray, scene: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """All points of clouds that are within `reach` `[N]` m of places `[3, N]`, each of its
+        scene's: of which place each is, `[K]`, and they themselves, `[3, K]`."""
+        rows, found = [np.zeros(0, int)], [np.zeros((0, 3))]
+        for number in np.unique(scene).tolist():
+            if self._clouds[number]:
+                own, tree = np.flatnonzero(scene == number), self._tree(number)
+                near = tree.query_ball_point(places[:, own].T, reach[own])
+                rows.append(np.repeat(own, [len(x) for x in near]))
+                found.append(tree.data[np.concatenate(near).astype(int)])
+        return np.concatenate(rows), np.concatenate(found).T
+
+    def _tree(self, number: int) -> Any:
+        return _tree(self._clouds[number], self._dtype)
 
     def distances(self, points: np.ndarray, number: np.ndarray, scene: np.ndarray) -> np.ndarray:
         """Distances [m] of points `[3, N]`, each to one obstacle of its scene, `[N]`.

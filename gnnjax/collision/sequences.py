@@ -16,10 +16,11 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
 from gnnjax.collision.checker import Checker, bisection_order, most_intervals
+from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.exact import PartTests
-from gnnjax.collision.spheres import BLOCKED, ITSELF, OBSTACLE_BITS
+from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, OBSTACLE_BITS
 from gnnjax.kept import keep
-from gnnjax.scene.scene import Scene, without_points
+from gnnjax.scene.scene import Scene
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
 _BLOCKS = (64, 256, 2048)
@@ -52,7 +53,8 @@ class Outcome(NamedTuple):
 class PlacedScenes(NamedTuple):
     """Scenes of problems, as tests want them."""
 
-    scenes: Any  # what `Checker.place` has made, on the device
+    scenes: Any  # what `Checker.place` has made, on the device; without the points of clouds
+    with_points: Any  # and with these
     num_obstacles: int  # room for so many in a scene
     many: bool  # whether there are enough for large blocks
 
@@ -70,7 +72,9 @@ class SequenceTester:
         levels = checker.levels
         self._place = keep(checker.place)
         self._check = keep(checker.check_each if levels is None else levels.first)
-        self._second = None if levels is None else PartTests(*map(keep, levels.second))
+        self._second = None
+        if levels is not None:
+            self._second = PartTests(*(test and keep(test) for test in levels.second))
         self._order = bisection_order(most_intervals(robot, resolution))
         self._resolution = resolution
         self.computed = 0  # configurations, with those that no sequential test would have needed
@@ -81,9 +85,10 @@ class SequenceTester:
         while room < num:
             room *= 16
         rows = np.minimum(np.arange(room), num - 1)
-        padded = jax.tree.map(lambda x: np.asarray(x)[rows], without_points(scenes))
+        padded = jax.tree.map(lambda x: np.asarray(x)[rows], scenes)
         many = room * _FIRST_STRETCH > _BLOCKS[1]
-        return PlacedScenes(self._place(padded), scenes.mask.shape[1], many)
+        placed = self._place(padded)
+        return PlacedScenes(without_leaves(placed), placed, scenes.mask.shape[1], many)
 
     def warm_up(self, placed: PlacedScenes, num_dof: int) -> None:
         """Compiles what testing in these scenes may need."""
@@ -98,6 +103,9 @@ class SequenceTester:
                     placed.scenes, owner, owner, rows, owner > 0
                 )
                 jax.block_until_ready((apart, self._second.clear_of_itself(rows, owner > 0)))
+                if self._second.clear_of_cloud is not None:
+                    asked = owner, rows, owner > 0
+                    jax.block_until_ready(self._second.clear_of_cloud(placed.with_points, *asked))
 
     def __call__(
         self, placed: PlacedScenes, items: Items, num: int, clock: Clock | None = None
@@ -234,7 +242,7 @@ class SequenceTester:
     ) -> np.ndarray:
         """Whether configurations are free of what the first level leaves open."""
         assert self._second is not None
-        clear_of_obstacles, clear_of_itself = self._second
+        clear_of_obstacles, clear_of_itself, clear_of_cloud = self._second
         free = np.ones(len(q), bool)
         rows = np.flatnonzero(words & ITSELF)
         if len(rows):
@@ -248,6 +256,11 @@ class SequenceTester:
             pairs = owner[row].astype(np.int32), number.astype(np.int32), q[row], free[row]
             held = ~_in_blocks(function, _OPEN_BLOCKS, *pairs)
             free[row[held]] = False
+        rows = np.flatnonzero((words & CLOUD > 0) & free)
+        if len(rows) and clear_of_cloud is not None:
+            function = functools.partial(clock.call, clear_of_cloud, placed.with_points)
+            asked = owner[rows].astype(np.int32), q[rows], free[rows]
+            free[rows] = _in_blocks(function, _OPEN_BLOCKS, *asked)
         return free
 
 

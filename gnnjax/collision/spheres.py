@@ -35,9 +35,11 @@ _SELF_PAIRS_A_PASS = 120
 FAR = 1e6  # m; where obstacles are that do not exist
 
 # What spheres say of a configuration is a word of 32 bits: 0 where they prove it free. Bit
-# m % OBSTACLE_BITS is set where they leave open whether obstacle m is touched, ITSELF where they
-# leave open whether the arm touches itself, BLOCKED where they prove a contact.
-OBSTACLE_BITS, ITSELF, BLOCKED = 30, np.uint32(1 << 30), np.uint32(1 << 31)
+# m % OBSTACLE_BITS is set where they leave open whether obstacle m is touched, CLOUD where they
+# leave open whether points are, ITSELF where they leave open whether the arm touches itself,
+# BLOCKED where they prove a contact.
+OBSTACLE_BITS = 29
+CLOUD, ITSELF, BLOCKED = (np.uint32(1 << bit) for bit in (29, 30, 31))
 
 
 class Placed(NamedTuple):

@@ -8,7 +8,7 @@ to the nearest of their centres (`lookup.py`).
 import os
 import warnings
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ REACH = 3.0  # m; a cube of twice that about the base holds the grid. What leave
 BUCKETS = (256, 1024, 4096, 16384, 65536, 262144)  # padded numbers of points
 VOXEL, RADIUS = 0.01, 0.01  # m, unless told
 MOST_METERS = 1e4  # of any coordinate
+_CURVE_BITS = 10  # a side of the curve that points are sorted along
 _FAR = 1e3  # m; what a scene without a cloud is away from one
 
 
@@ -36,10 +37,10 @@ class Balls(NamedTuple):
 class Cloud(NamedTuple):
     """The balls of a scene, padded, and the grid in which kernels look them up.
 
-    Certificates see the points alone, and kernels the grid alone.
+    Certificates see the points alone; kernels the grid, and the points where that tells too little.
     """
 
-    points: Float[Array, "*batch K 3"]  # m, in the frame of the arm's base
+    points: Float[Array, "*batch K 3"]  # m, in the frame of the arm's base; neighbours together
     num: Int[Array, "*batch"]  # of them that exist; others are zeros
     radius: Float[Array, "*batch"]  # m
     lower: Float[Array, "*batch 3"]  # m, the first node
@@ -121,6 +122,7 @@ def make_cloud(clouds: Sequence[Balls], source: str = "the scene") -> Cloud:
         InputError: more points than the largest bucket holds.
     """
     points = np.concatenate([balls.points for balls in clouds]).astype(np.float32)
+    points = points[np.argsort(_places_on_curve(points), kind="stable")]
     radius = max(balls.radius for balls in clouds)
     room = next((bucket for bucket in BUCKETS if len(points) <= bucket), None)
     if room is None:
@@ -161,6 +163,18 @@ def _grid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return lower, cells, away * away
 
 
+def _places_on_curve(points: Any) -> Any:
+    """Where points `[K, 3]` in reach lie on a Z-shaped curve (Morton, 1966), along which neighbours
+    are mostly near each other; of NumPy, or inside of compiled functions."""
+    share = ((points + REACH) * (1 / (2 * REACH))).clip(0.0, 1.0)
+    cells = (share * (2.0**_CURVE_BITS - 1.0)).astype(np.int32)
+    place = 0
+    for bit in range(_CURVE_BITS):
+        for axis in range(3):
+            place = place | ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return place
+
+
 def cloud_of(points: Float[Array, "K 3"], radius: float) -> Cloud:
     """`make_cloud` inside of compiled functions, of points of which some are NaN, and none.
 
@@ -169,9 +183,9 @@ def cloud_of(points: Float[Array, "K 3"], radius: float) -> Cloud:
         radius: of the balls, m.
     """
     exists = jnp.isfinite(points).all(axis=1)
-    order = jnp.argsort(~exists)
-    points = jnp.where(exists[order, None], points[order], 0.0)
-    exists = exists[order, None]
+    points = jnp.where(exists[:, None], points, 0.0)
+    order = jnp.argsort(jnp.where(exists, _places_on_curve(points), 8**_CURVE_BITS))
+    points, exists = points[order], exists[order, None]
     lower = jnp.min(points, axis=0, where=exists, initial=REACH) - AROUND
     upper = jnp.max(points, axis=0, where=exists, initial=-REACH) + AROUND
     lower, upper = (jnp.clip(x, -REACH, REACH) for x in (lower, upper))

@@ -8,13 +8,14 @@ is short by the second order of a cell's size. Halfway between two walls it may 
 cell's diagonal, as the nearest node's distance would be anywhere.
 """
 
+import itertools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from gnnjax.arm.kinematics import Vector
+from gnnjax.arm.kinematics import Scalar, Vector
 from gnnjax.scene.cloud import NODES, REACH, Cloud
 
 
@@ -49,16 +50,41 @@ def lookup(cloud: Cloud, owner: Int[Array, "..."] | None = None) -> Lookup:
     )
 
 
-def squared_distance_to(grid: Lookup, point: Vector) -> jax.Array:
-    """No more than the squared distance [m^2] of points to the centres of a cloud's balls, and less
-    by a cell's diagonal times the sum of the distance and a quarter of it at most; negative where
-    nothing is known.
+class Corners(NamedTuple):
+    """What the nodes around points tell of their distances to a cloud's points."""
 
-    Args:
-        grid: of `lookup`.
-        point: three arrays, m.
-    """
-    index, fraction, extra, inside = jnp.int32(0), [], 0.0, True
+    squared: list[jax.Array]  # m^2, from each of eight nodes to the nearest of the cloud's points
+    away: list[tuple[Scalar, Scalar]]  # m^2, of each axis: to its lower and its upper nodes
+    parts: Vector  # where between these, from 0 to 1
+    extra: Scalar  # m^2
+    inside: jax.Array | bool  # whether the points are in reach
+
+    def at_least(self) -> jax.Array:
+        """See `squared_distance_to`."""
+
+        def between(low: jax.Array, high: jax.Array, part: jax.Array) -> jax.Array:
+            return low + part * (high - low)
+
+        values = self.squared
+        for part in reversed(self.parts):
+            values = [between(*pair, part) for pair in zip(*[iter(values)] * 2, strict=True)]
+        return jnp.where(self.inside, values[0] + self.extra, -1.0)
+
+    def are_within(self, reach: jax.Array) -> jax.Array:
+        """True only where the nearest of the cloud's points is nearer than `reach` [m, not
+        negative]: to a node and on to what is nearest to that is no shortcut."""
+        found, most = jnp.bool_(False), reach * reach
+        for squared, way in zip(self.squared, itertools.product(*self.away), strict=True):
+            step = way[0] + way[1] + way[2]
+            # sqrt(squared) + sqrt(step) < reach, without roots.
+            left = most - squared - step
+            found = found | ((left > 0.0) & (left * left > 4.0 * squared * step))
+        return found
+
+
+def corners_around(grid: Lookup, point: Vector) -> Corners:
+    """Looks points up; see `squared_distance_to`."""
+    index, parts, away, extra, inside = jnp.int32(0), [], [], 0.0, True
     for x, low, cell in zip(point, grid.lower, grid.cells, strict=True):
         inside = inside & (jnp.abs(jnp.asarray(x)) <= REACH)
         at = (x - low) / cell
@@ -71,22 +97,28 @@ def squared_distance_to(grid: Lookup, point: Vector) -> jax.Array:
         part = held - whole
         extra = extra + beyond * beyond - cell * cell * part * (1.0 - part)
         index = index * NODES + whole.astype(jnp.int32)
-        fraction.append(part)
+        parts.append(part)
+        to_low = (at - whole) * cell
+        away.append((to_low * to_low, (to_low - cell) * (to_low - cell)))
     index = index + grid.first
 
     def corner(offset: int) -> jax.Array:
         return grid.squared.at[index + offset].get(mode="promise_in_bounds")
 
-    def between(low: jax.Array, high: jax.Array, part: jax.Array) -> jax.Array:
-        return low + part * (high - low)
+    offsets = [(i * NODES + j) * NODES + k for i, j, k in itertools.product((0, 1), repeat=3)]
+    return Corners([corner(offset) for offset in offsets], away, parts, extra, inside)
 
-    x, y, z = fraction
-    rows = [
-        between(corner(first), corner(first + 1), z)
-        for first in (0, NODES, NODES * NODES, NODES * NODES + NODES)
-    ]
-    mean = between(between(rows[0], rows[1], y), between(rows[2], rows[3], y), x)
-    return jnp.where(inside, mean + extra, -1.0)
+
+def squared_distance_to(grid: Lookup, point: Vector) -> jax.Array:
+    """No more than the squared distance [m^2] of points to the centres of a cloud's balls, and less
+    by a cell's diagonal times the sum of the distance and a quarter of it at most; negative where
+    nothing is known.
+
+    Args:
+        grid: of `lookup`.
+        point: three arrays, m.
+    """
+    return corners_around(grid, point).at_least()
 
 
 def distances_to(cloud: Cloud, point: Vector) -> jax.Array:

@@ -3,15 +3,14 @@
 import functools
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.scene.allowed import refuse_allowed
 from gnnjax.scene.cloud import Cloud
+from gnnjax.scene.own_points import distances_to_hull
 from gnnjax.scene.scene import Scene, obstacle_name
 from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
 
@@ -182,8 +181,8 @@ class Contact(NamedTuple):
 
 
 def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None:
-    """What the C engine finds in collision at a configuration `[D]` of one scene; with its cloud
-    the spheres around the arm's parts, which are what is tested against clouds."""
+    """What is in collision at a configuration `[D]` of one scene: by the C engine, or, with its
+    cloud, by the distances of points to the arm's parts."""
     model = _cached_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
     place_boxes(model, data, scene._replace(cloud=None, allowed=None))
@@ -202,9 +201,9 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
             for number in moving
             if not _is_meant(scene, i, robot.parts[number].body)
         ]
-    depth, part = _depth_in_cloud(robot, scene, model, q, moved=True)
+    depth, part = _depth_in_cloud(robot, scene, model, data, moved=True)
     if depth > 0:
-        found.append((depth, f"the spheres around {part}", "the cloud"))
+        found.append((depth, part, "the cloud"))
     depth, first, second = max(found, key=lambda one: one[0], default=(0.0, "", ""))
     if depth <= 0:
         return None
@@ -223,9 +222,7 @@ def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
     mujoco.mj_kinematics(model, data)
     if i == len(scene.mask) and scene.cloud is not None:
         cloud = scene.cloud._replace(radius=np.float32(0))
-        return _depth_in_cloud(robot, scene._replace(cloud=cloud), model, robot.home, moved=False)[
-            0
-        ]
+        return _depth_in_cloud(robot, scene._replace(cloud=cloud), model, data, moved=False)[0]
     obstacle = int(obstacles(model, len(scene.mask)).geoms[i])
     fixed = [
         g
@@ -236,27 +233,25 @@ def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
 
 
 def _depth_in_cloud(
-    robot: Robot, scene: Scene, model: mujoco.MjModel, q: np.ndarray, *, moved: bool
+    robot: Robot, scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, *, moved: bool
 ) -> tuple[float, str]:
-    """How far a cloud reaches into the spheres around the parts that joints move, or that none
-    moves, m; and into which part's."""
+    """How far a cloud reaches into the parts that joints move, or that none moves, m; and into
+    which part."""
+    deepest = 0.0, ""
     if scene.cloud is None or not int(scene.cloud.num):
-        return 0.0, ""
-    chosen = np.array([_is_moved(model, g) == moved for g in robot.geom_ids.tolist()], bool)
-    if not chosen.any():
-        return 0.0, ""
-    found = forward_kinematics(robot, jnp.asarray(q, jnp.float32))
-    # What no joint moves has the body -1: the last, the world.
-    positions = np.concatenate([np.asarray(found[0]), np.zeros((1, 3))])[robot.geom_bodies]
-    rotations = np.concatenate([np.asarray(found[1]), np.eye(3)[None]])[robot.geom_bodies]
-    centers = positions + np.einsum("gij,gj->gi", rotations, robot.geom_centers)
-    points = np.asarray(scene.cloud.points[: int(scene.cloud.num)], float)
-    from scipy.spatial import cKDTree  # a fifth of a second, for clouds alone
-
-    away, _ = cKDTree(points).query(centers[chosen])
-    depth = robot.geom_radii[chosen] + float(scene.cloud.radius) - away
-    deepest = int(depth.argmax())
-    return float(depth[deepest]), robot.parts[robot.geom_parts[chosen][deepest]].name
+        return deepest
+    points, ball = np.asarray(scene.cloud.points[: int(scene.cloud.num)], float), scene.cloud.radius
+    for g, part in zip(robot.part_geom_ids.tolist(), robot.parts, strict=True):
+        body, reach = int(model.geom_bodyid[g]), part.radius + float(ball)
+        if _is_moved(model, g) != moved:
+            continue
+        seen = (points - data.xpos[body]) @ data.xmat[body].reshape(3, 3)
+        low, high = part.vertices.min(axis=0) - reach, part.vertices.max(axis=0) + reach
+        near = seen[((seen > low) & (seen < high)).all(axis=1)]
+        if len(near):
+            depth = reach - float(distances_to_hull(part.vertices, near).min())
+            deepest = max(deepest, (depth, part.name))
+    return deepest
 
 
 def _is_meant(scene: Scene, i: int, body: int) -> bool:
