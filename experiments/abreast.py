@@ -29,9 +29,7 @@ SIZES = (64, 256, 1024, 4096)  # problems of a batch; one compilation each
 _FEW = 32  # problems; so many that have no path yet are not worth another roadmap
 _STEPS = 24  # nodes of a path; longer ones are left to the engine
 _POINTS = 14  # of a path between which shortcuts are tested
-_PASSES = 3
-_ROADMAPS = 3  # of a problem
-_ROUNDS = 24
+_PASSES, _ROADMAPS, _ROUNDS = 3, 3, 24  # of shortening; of a problem; of a roadmap
 # Configurations of a motion are tested up to these numbers, in the order of bisection, before the
 # motions that hold so far are tested further.
 _STRATA = (0, 2, 8, 32)
