@@ -1,6 +1,7 @@
 """Files that are never half written, and a lock for what one command writes at a time."""
 
 import contextlib
+import importlib.metadata
 import math
 import os
 import re
@@ -223,3 +224,11 @@ def _try_lock(handle: int) -> bool:
         except OSError:  # a file system without locks
             return True
     return True
+
+
+def code_version() -> str:
+    """The version of this package, as files and results name it."""
+    try:
+        return importlib.metadata.version("gnnjax")
+    except importlib.metadata.PackageNotFoundError:  # run from a checkout that is not installed
+        return "unknown"

@@ -90,7 +90,8 @@ class Kept:
             if code is not None and not os.environ.get(_CHECK):
                 return code
             lowered = self._jitted.lower(*args)
-            program = digest(lowered.as_text(), *where)
+            # Code holds the form of its results, too, of which the program tells nothing.
+            program = digest(lowered.as_text(), str(lowered.out_tree), *where)
             if code is not None:
                 _check(named, program, self.name)
                 return code

@@ -100,6 +100,16 @@ def test_other_statics_shapes_types_and_settings_are_compiled(folder, compiled):
     assert len(compiled) == asked + 2
 
 
+def test_results_of_another_form_are_another_program(folder):
+    forms = []
+    for form in ("x[0] * 2, None", "x[0] * 2, None, None", "[x[0] * 2]"):  # one program
+        space = {"__name__": "gnnjax.made_up"}
+        exec(f"def doubled(x):\n    return {form}", space)
+        forms.append(jax.tree.structure(keep(space["doubled"])(POINT)))
+    expected = [(0, None), (0, None, None), [0]]
+    assert forms == [jax.tree.structure(form) for form in expected]
+
+
 def test_a_constant_or_source_that_changes_is_another_function(folder, compiled, monkeypatch):
     cells()(POINT)
     monkeypatch.setattr(kept, "SOURCES", "changed")

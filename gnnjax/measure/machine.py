@@ -1,7 +1,6 @@
 """What numbers were measured on."""
 
 import functools
-import importlib.metadata
 import platform
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 import jax
 
 from gnnjax.devices import num_cores
+from gnnjax.files import code_version
 
 
 @functools.cache
@@ -25,5 +25,5 @@ def describe_machine() -> dict[str, Any]:
         "device": jax.devices()[0].device_kind,
         "python": platform.python_version(),
         "jax": jax.__version__,
-        "gnnjax": importlib.metadata.version("gnnjax"),
+        "gnnjax": code_version(),
     }

@@ -2,7 +2,6 @@
 
 import bisect
 import hashlib
-import importlib.metadata
 import json
 import os
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
-from gnnjax.files import atomic_write
+from gnnjax.files import atomic_write, code_version
 from gnnjax.problems.file import load_file, save_problems
 from gnnjax.problems.problem import ProblemSet
 from gnnjax.scene.batches import same_clouds
@@ -160,7 +159,7 @@ def origin(robot: str, seed: int, settings: dict[str, Any]) -> dict[str, Any]:
         "seed": seed,
         # As it will be read back: tuples become lists.
         "settings": json.loads(json.dumps(settings)),
-        "code_version": _code_version(),
+        "code_version": code_version(),
     }
 
 
@@ -260,10 +259,3 @@ def _load_shards(folder: Path, robot: Robot, shards: list[dict[str, Any]]) -> Pr
 def _sha256(path: Path) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _code_version() -> str:
-    try:
-        return importlib.metadata.version("gnnjax")
-    except importlib.metadata.PackageNotFoundError:  # run from a checkout that is not installed
-        return "unknown"

@@ -6,7 +6,6 @@ can be planned with as well. Planning with weights loads no Orbax.
 
 import hashlib
 import importlib
-import importlib.metadata
 import json
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,7 +18,7 @@ from flax import nnx
 from safetensors.numpy import load_file, save_file
 
 from gnnjax.errors import InputError, brief, one_line
-from gnnjax.files import atomic_write
+from gnnjax.files import atomic_write, code_version
 
 # Kinds of networks, where they are, and the planners that take them. Imported when asked for: the
 # default planner loads none but its own.
@@ -66,7 +65,7 @@ def metadata(network: Any, training: dict[str, Any]) -> dict[str, Any]:
     """
     return {
         "format": FORMAT,
-        "version": importlib.metadata.version("gnnjax"),
+        "version": code_version(),
         "network": type(network).__name__,
         "model": network.config,
         "training": training,
