@@ -7,11 +7,13 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path, clearances
 from gnnjax.collision.checker import make_checker
-from gnnjax.collision.sequences import SequenceTester
+from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.planning.load import make_planner
+from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import path_length
 from gnnjax.planning.shortcuts import _POINTS, _shortest, _spread, cut_short
-from gnnjax.planning.trees import Tree, grow
+from gnnjax.planning.trees import DRAWN, Outlook, Tree, _likely, grow
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
 
@@ -39,15 +41,21 @@ def problems(robot):
     return jax.tree.map(lambda *x: np.stack(x), *drawn)
 
 
-def grown(robot, tester, problems, effort=1, time_limit=np.inf):
+@pytest.fixture(scope="module")
+def strategy(robot):
+    return make_planner(robot, PlannerOptions(num_nodes=32)).strategy
+
+
+def grown(robot, strategy, tester, problems, effort=1, time_limit=np.inf):
     progress = Progress(robot, problems)
     placed, ids = tester.place(progress.problems.scene), np.arange(len(problems.start))
-    grow(robot, progress, tester, placed, ids, 0, effort, time_limit)
+    outlook = Outlook(progress, strategy, ids, 2)
+    grow(robot, progress, tester, placed, ids, outlook, 0, effort, time_limit)
     return progress, placed
 
 
-def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, tester, problems):
-    progress, placed = grown(robot, tester, problems)
+def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, strategy, tester, problems):
+    progress, placed = grown(robot, strategy, tester, problems)
     solved = np.flatnonzero([path is not None for path in progress.paths])
     assert len(solved) >= 10
     before = [path_length(progress.paths[i]) for i in solved]
@@ -63,11 +71,13 @@ def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, tester, 
         assert certify_path(robot, jax.tree.map(lambda x, i=i: x[i], problems.scene), path)
 
 
-def test_a_problem_has_the_same_path_alone(robot, tester, problems):
-    together, placed = grown(robot, tester, problems)
+def test_a_problem_has_the_same_path_alone(robot, strategy, tester, problems):
+    together, placed = grown(robot, strategy, tester, problems)
     cut_short(together, tester, placed, np.flatnonzero([p is not None for p in together.paths]))
     for i in (0, 3, 7):
-        alone, scene = grown(robot, tester, jax.tree.map(lambda x, i=i: x[i : i + 1], problems))
+        alone, scene = grown(
+            robot, strategy, tester, jax.tree.map(lambda x, i=i: x[i : i + 1], problems)
+        )
         if alone.paths[0] is None:
             assert together.paths[i] is None
             continue
@@ -77,8 +87,30 @@ def test_a_problem_has_the_same_path_alone(robot, tester, problems):
         assert alone.rounds[0] == together.rounds[i]
 
 
-def test_no_time_grows_nothing(robot, tester, problems):
-    progress, _ = grown(robot, tester, problems, time_limit=-1.0)
+def test_the_guide_picks_the_branches(robot, strategy, tester, problems):
+    """Of a guide that knows what is free, fewer are blocked."""
+    progress = Progress(robot, problems)
+    rows = np.arange(len(problems.start))
+    tree = Tree(problems.start, 10)
+    goals = np.random.default_rng(2).uniform(
+        robot.joint_lower, robot.joint_upper, (len(rows), DRAWN, 3)
+    )
+    outlook = Outlook(progress, strategy, rows, 2)
+    row, near, picked = _likely(tree, outlook, rows, goals.astype(np.float32))
+    assert not near.any()
+    assert sorted(set(row.tolist())) == rows.tolist()
+    every = np.repeat(rows, DRAWN), goals.reshape(-1, 3)
+    share = {}
+    for name, (own, ends) in {"picked": (row, picked), "every": every}.items():
+        ends = ends.astype(np.float32)
+        items = Items(np.arange(len(own)), own, problems.start[own], ends, np.ones(len(own), bool))
+        outcome = tester(tester.place(problems.scene), items, len(own))
+        share[name] = outcome.refuted.mean()
+    assert share["picked"] < 0.7 * share["every"]
+
+
+def test_no_time_grows_nothing(robot, strategy, tester, problems):
+    progress, _ = grown(robot, strategy, tester, problems, time_limit=-1.0)
     assert all(path is None for path in progress.paths)
     assert not progress.rounds.any()
 

@@ -14,7 +14,7 @@ from gnnjax.planning.options import CHEAP
 from gnnjax.planning.pool import Pool, sizes_up_to
 from gnnjax.planning.query import Plan
 from gnnjax.planning.shortcuts import cut_short
-from gnnjax.planning.trees import grow
+from gnnjax.planning.trees import DRAWN, Outlook, grow
 from gnnjax.search.knowledge import INVALID
 
 _STRAIGHT = 1024  # straight lines that are tested at once
@@ -79,12 +79,16 @@ class Run(Attempts):
         ends = np.concatenate([self.problems.start[ids], self.problems.goal[ids]], axis=1)
         ids = ids[np.isfinite(ends).all(axis=1)]  # of others there is nothing to grow from
         for first in range(0, len(ids), self.pool):
+            begin, some = self.clock.now(), ids[first : first + self.pool]
+            outlook = Outlook(self, self.strategy, some, self.chunk)
+            self.spend(some, begin)
             grow(
                 self.robot,
                 self,
                 self.tester,
                 self.placed,
-                ids[first : first + self.pool],
+                some,
+                outlook,
                 self.seed,
                 self.options.effort,
                 self.options.time_limit,
@@ -116,6 +120,10 @@ class Run(Attempts):
                 pool.learn(route, *np.zeros((2, *host.path.shape), np.int8))
                 if self.strategy.shorten:
                     self.shortener.shortcuts(pool, np.zeros(1, int), host)
+        if not self.options.sampled:
+            some = np.zeros((1, DRAWN, self.robot.num_dof), np.float32)
+            outlook = Outlook(self, self.strategy, np.zeros(1, int), self.chunk)
+            outlook.prices(np.zeros(1, int), some, some)
 
     def _open(self) -> np.ndarray:
         return np.flatnonzero(self.open(self.options.time_limit) & self.wanted)

@@ -27,7 +27,7 @@ from gnnjax.roadmap.stored import (
     insert_ends,
     stored_roadmap,
 )
-from gnnjax.scene.scene import without_meant
+from gnnjax.scene.scene import Scene, without_meant
 from gnnjax.search.knowledge import UNKNOWN, ends_known
 from gnnjax.search.rounds import Priced, keep_cheapest
 from gnnjax.search.shorten import PATH_POINTS, shortened, spread_along
@@ -272,12 +272,23 @@ class Guided:
 
     @per_object(keep)
     def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
-        """Prices of motions `[B E]`."""
+        """Prices of motions `[B E]`, rad."""
+        return RISK_WEIGHT * self._prices(weights, readings, starts, ends, num, EDGE_PIECES)
 
+    @per_object(keep)
+    def branches(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
+        """Prices of short motions `[B E]`, nats."""
+        return self._prices(weights, readings, starts, ends, num, LOCAL_PIECES)
+
+    @per_object(keep)
+    def read(self, weights, scenes: Scene, num) -> Any:
+        """What the guide reads of scenes `[B]`."""
+        return map_first(lambda x: self.guide.read(weights, without_meant(x)), num, scenes)
+
+    def _prices(self, weights, readings, starts, ends, num, pieces: int) -> jax.Array:
         def one(turn: tuple[Any, jax.Array, jax.Array]) -> jax.Array:
             reading, starts, ends = turn
-            motions = self.guide.prices(weights, reading).motions
-            return RISK_WEIGHT * motions(starts, ends, EDGE_PIECES)
+            return self.guide.prices(weights, reading).motions(starts, ends, pieces)
 
         return map_first(one, num, (readings, starts, ends))
 

@@ -1,20 +1,28 @@
 """Two trees of free motions, from start and goal, until they meet: RRT-Connect (Kuffner and
 LaValle, 2000), with many branches at once and for many problems in step.
 
-What is left to problems that roadmaps do not solve: it asks no guide, needs many checks, and finds
-its way out of narrow places step by step. What a problem's trees are does not depend on the others.
+What is left to problems that roadmaps do not solve. Branches may go anywhere, so that it finds its
+way out of narrow places step by step; of many that could be tried, the guide picks those that are
+likely to be free. What a problem's trees are does not depend on the others.
 """
 
+import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.sequences import Items, PlacedScenes, SequenceTester
+from gnnjax.planning.guided import Guided
+from gnnjax.planning.pool import in_chunks
 from gnnjax.planning.progress import Progress
+from gnnjax.scene.scene import without_points
 
-MOST_ROUNDS = 50  # at effort 1
-_BRANCHES = 64  # of a tree in a round, and as many of the other towards their tips
+MOST_ROUNDS = 80  # at effort 1
+_BRANCHES = 8  # of a tree in a round, and as many of the other towards their tips
+_CHOICE = 16  # branches of which the guide picks one
+DRAWN = _BRANCHES * _CHOICE  # of a tree in a round
 _STEP = 0.5  # configuration units of a branch's edges
-_LONGEST = 2, 16  # edges of a branch, of the first tree and the other
+_LONGEST = 4, 16  # edges of a branch, of the first tree and the other
+_ROOM = 64  # nodes a round and tree; where there is none left, a tree stays as it is
 
 
 class Tree:
@@ -28,10 +36,12 @@ class Tree:
         self.count = np.ones(num, int)
 
     def nearest(self, rows: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """The nodes of some problems that are nearest to q `[R D]`."""
-        most = self.count[rows].max()
-        apart = self.nodes[rows, :most] - q[:, None]
-        return np.einsum("rnd,rnd->rn", apart, apart).argmin(axis=1)
+        """Of some problems, which nodes `[R G]` are nearest to q `[R G D]`."""
+        found = np.zeros(q.shape[:2], int)
+        for at, row in enumerate(rows.tolist()):
+            apart = self.nodes[row, : self.count[row]] - q[at, :, None]
+            found[at] = np.einsum("gnd,gnd->gn", apart, apart).argmin(axis=1)
+        return found
 
     def add(self, row: int, parent: int, branch: np.ndarray) -> int:
         """Adds configurations one after the other; returns the last, or where there was no room."""
@@ -52,12 +62,44 @@ class Tree:
         return found
 
 
+class Outlook:
+    """How likely motions are to be free in the scenes of some problems, as the guide sees them."""
+
+    def __init__(self, progress: Progress, strategy: Guided, ids: np.ndarray, chunk: int):
+        """Args:
+        progress: of all problems.
+        strategy: has the guide.
+        ids: of the problems.
+        chunk: problems that are looked at together.
+        """
+        self._clock, self._strategy, self._chunk = progress.clock, strategy, chunk
+        scenes, parts = without_points(progress.problems.scene), []
+        for part, padded in in_chunks(ids, chunk):
+            some = jax.tree.map(lambda x, at=padded: x[at], scenes)
+            num = len(part)
+            own = strategy.weights, some, np.int32(num)
+            found = self._clock.call(strategy.read, *own)
+            parts.append(jax.tree.map(lambda x, n=num: np.asarray(x)[:n], found))
+        self._readings = jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+    def prices(self, rows: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Prices `[R E]`, nats, of motions `[R E D]` of some of the problems."""
+        found = []
+        for part, padded in in_chunks(np.arange(len(rows)), self._chunk):
+            readings = jax.tree.map(lambda x, at=rows[padded]: x[at], self._readings)
+            own = self._strategy.weights, readings, starts[padded], ends[padded]
+            price = self._clock.call(self._strategy.branches, *own, np.int32(len(part)))
+            found.append(np.asarray(price)[: len(part)])
+        return np.concatenate(found)
+
+
 def grow(
     robot: Robot,
     progress: Progress,
     tester: SequenceTester,
     placed: PlacedScenes,
     ids: np.ndarray,
+    outlook: Outlook,
     seed: int,
     effort: int,
     time_limit: float,
@@ -70,47 +112,66 @@ def grow(
         tester: of the arm.
         placed: scenes of all problems.
         ids: of the problems.
+        outlook: for the same problems.
         seed: of the random configurations, the same for all.
         effort: how many times `MOST_ROUNDS`.
         time_limit: s, after which a problem's trees are left.
     """
     rounds = effort * MOST_ROUNDS
-    room = 2 * _BRANCHES * rounds  # where there is none left, a tree stays as it is
-    trees = [
-        Tree(x[ids].astype(np.float32), room)
-        for x in (progress.problems.start, progress.problems.goal)
-    ]
-    draws = np.random.default_rng([seed, 2]).random((rounds, _BRANCHES, robot.num_dof))
     # An end may lie in another turn of a joint.
-    of_each = np.stack([progress.problems.start, progress.problems.goal])[:, ids].astype(np.float32)
-    lower = np.minimum(robot.drawn_lower, of_each.min(axis=0))
-    span = np.maximum(robot.drawn_upper, of_each.max(axis=0)) - lower
-    for number, goals in enumerate(draws):
-        still = progress.open(time_limit)
-        rows = np.flatnonzero(still[ids])
-        if not len(rows):
+    ends = [x[ids].astype(np.float32) for x in (progress.problems.start, progress.problems.goal)]
+    trees = [Tree(x, _ROOM * rounds) for x in ends]
+    lower = np.minimum(robot.drawn_lower, np.minimum(*ends))
+    span = np.maximum(robot.drawn_upper, np.maximum(*ends)) - lower
+    draws = np.random.default_rng([seed, 2]).random((rounds, DRAWN, robot.num_dof))
+    for number, drawn in enumerate(draws):
+        open_rows = np.flatnonzero(progress.open(time_limit)[ids])
+        if not len(open_rows):
             return
         begin = progress.clock.now()
-        progress.rounds[ids[rows]] += 1
+        progress.rounds[ids[open_rows]] += 1
         first, second = trees if number % 2 == 0 else trees[::-1]
-        goal = np.tile(goals, (len(rows), 1))
-        rows = np.repeat(rows, _BRANCHES)
-        goal = (lower[rows] + goal * span[rows]).astype(np.float32)
-        tips = _extend(progress, tester, placed, ids, first, rows, goal, _LONGEST[0])
+        goal = (lower[open_rows, None] + drawn * span[open_rows, None]).astype(np.float32)
+        rows, near, goal = _likely(first, outlook, open_rows, goal)
+        tips = _extend(progress, tester, placed, ids, first, rows, near, goal, _LONGEST[0])
         grown = tips >= 0
         rows, tips = rows[grown], tips[grown]
         if len(rows):
             goal = first.nodes[rows, tips]
-            ends = _extend(progress, tester, placed, ids, second, rows, goal, _LONGEST[1])
-            meet = ends >= 0
-            meet[meet] = (second.nodes[rows[meet], ends[meet]] == goal[meet]).all(axis=1)
+            near = second.nearest(rows, goal[:, None])[:, 0]
+            tip = _extend(progress, tester, placed, ids, second, rows, near, goal, _LONGEST[1])
+            meet = tip >= 0
+            meet[meet] = (second.nodes[rows[meet], tip[meet]] == goal[meet]).all(axis=1)
             paths = []
-            met = (x[meet].tolist() for x in (rows, tips, ends))
-            for row, tip, end in zip(*met, strict=True):
-                way = first.way(row, tip)[::-1] + second.way(row, end)[1:]
+            met = (x[meet].tolist() for x in (rows, tips, tip))
+            for row, one, other in zip(*met, strict=True):
+                way = first.way(row, one)[::-1] + second.way(row, other)[1:]
                 paths.append(np.stack(way if first is trees[0] else way[::-1]))
             progress.certify(ids[rows[meet]], paths)
-        progress.spend(ids[np.flatnonzero(still[ids])], begin)
+        progress.spend(ids[open_rows], begin)
+
+
+def _likely(
+    tree: Tree, outlook: Outlook, rows: np.ndarray, goals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each `_CHOICE` branches towards configurations `[R G D]` the one most likely to be free.
+
+    To take the likeliest of all would grow what has room already; so each only competes with few.
+
+    Returns:
+        Of each branch its problem's row, the node that it leaves, and where to.
+    """
+    near = tree.nearest(rows, goals)
+    starts = tree.nodes[rows[:, None], near]
+    ways = goals - starts
+    length = np.linalg.norm(ways, axis=-1, keepdims=True)
+    ends = starts + ways * np.minimum(1, _LONGEST[0] * _STEP / np.maximum(length, _STEP))
+    price = outlook.prices(rows, starts, ends.astype(np.float32))
+    best = price.reshape(len(rows), -1, _CHOICE).argmin(axis=2)
+    best = best + np.arange(best.shape[1]) * _CHOICE
+    own = np.arange(len(rows))[:, None]
+    row = np.repeat(rows, best.shape[1])
+    return row, near[own, best].ravel(), goals[own, best].reshape(len(row), -1)
 
 
 def _extend(
@@ -120,15 +181,16 @@ def _extend(
     ids: np.ndarray,
     tree: Tree,
     rows: np.ndarray,
+    near: np.ndarray,
     goal: np.ndarray,
     most: int,
 ) -> np.ndarray:
-    """Extends trees towards configurations `[R D]` by up to `most` edges, as far as they are free.
+    """Extends trees from nodes `[R]` towards configurations `[R D]` by up to `most` edges, as far
+    as they are free.
 
     Returns:
         The last nodes that were added, -1 where none was.
     """
-    near = tree.nearest(rows, goal)
     start = tree.nodes[rows, near]
     way = goal - start
     length = np.linalg.norm(way, axis=1)
