@@ -59,6 +59,10 @@ class Kept:
         return {"function": self.function, "donate_argnums": self.donate_argnums}
 
     def __call__(self, *args: Any) -> Any:
+        return self.code_for(*args)(*args)
+
+    def code_for(self, *args: Any) -> Callable:
+        """What computes arguments of these shapes, for many small calls: it does not look again."""
         leaves, tree = jax.tree.flatten(args)
         context = (getattr(jax.config, name) for name in _CONTEXT)
         shapes = tree, *context, *map(_outline, leaves)
@@ -68,7 +72,7 @@ class Kept:
                 found = self._found.get(shapes)
                 if found is None:
                     found = self._found[shapes] = self._find(tree, leaves, args)
-        return found(*args)
+        return found
 
     def _cache_size(self) -> int:
         """For how many shapes it was compiled, as JAX calls it."""

@@ -58,7 +58,7 @@ planning.strategy planning.walks planning.guided planning.pool planning.shorteni
 planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.execution
-training.weights training.checkpoint training.parallel training.figure training.run
+training.weights training.checkpoint training.parallel training.motions training.figure training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
 measure.machine measure.rows measure.batches measure.result_files measure.statistics measure.table
