@@ -229,20 +229,25 @@ def _write(path: Path, content: bytes | None) -> None:
         return
     try:
         atomic_write(path, lambda part: part.write_bytes(_sealed(path.name, content) + content))
-        _make_room(path.parent)
+        _make_room(path)
     except (OSError, InputError) as error:
         _say_once(f"what was compiled is not kept: {error}")
 
 
-def _make_room(folder: Path) -> None:
-    """Removes files that were not read for longest, until the others are few enough."""
+def _make_room(newest: Path) -> None:
+    """Removes files that were not read for longest, until the others are few enough.
+
+    Clocks of machines that share the folder may differ. So time is told by the file just written,
+    and one from the future, which would never go, is as old as it is far from there.
+    """
     found = []
-    for path in folder.iterdir():
+    for path in newest.parent.iterdir():
         with contextlib.suppress(OSError):  # another process has just removed it
             known = path.stat()
             found.append((known.st_mtime, known.st_size, path))
+    now = next((time for time, _, path in found if path == newest), 0.0)
     left = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
+    for _, size, path in sorted((-abs(now - time), size, path) for time, size, path in found):
         if left <= _MOST_BYTES:
             return
         with contextlib.suppress(OSError):
