@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnnjax import interruption
+from gnnjax import interruption, notice
 
 _FULL = "make room and start the same command again"
 _REMEDIES = {
@@ -102,6 +102,7 @@ def run_command(
         main: the command.
         again: what a user does to go on after an interruption.
     """
+    notice.silence()
     for name in ("stdout", "stderr"):  # which may have been closed before
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w"))

@@ -18,6 +18,7 @@ import logging
 import os
 import pickle
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,10 +31,15 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from gnnjax.digest import Undigested, digest
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, cache_folder
+from gnnjax.notice import told_if_long
 from gnnjax.surroundings import SOURCES, keeps_code, machine, settings
 
 _LOG = logging.getLogger(__name__)
 _MOST_BYTES = 1 << 30  # of all files; those that were not read for longest go first
+_FIRST = (
+    "gnnjax: compiling for a first use of this kind, which may take a minute or more; "
+    "later ones find the code in {}"
+)
 _CHECK = "GNNJAX_CHECK_KEPT"  # in the environment: lower all the same, and compare
 # Settings of JAX that a function called in another context is compiled anew for.
 _CONTEXT = (
@@ -93,17 +99,21 @@ class Kept:
             code = None if named is None else _load(folder / f"{named.decode()}.code")
             if code is not None and not os.environ.get(_CHECK):
                 return code
-            lowered = self._jitted.lower(*args)
-            # Code holds the form of its results, too, of which the program tells nothing.
-            program = digest(lowered.as_text(), str(lowered.out_tree), *where)
-            if code is not None:
-                _check(named, program, self.name)
-                return code
-            path = folder / f"{program}.code"
-            code = _load(path)
-            if code is None:
-                code = _compile(lowered)
-                _write(path, _serialized(code))
+            _LOG.info("compiling %s", self.name)
+            begin = time.monotonic()
+            with told_if_long(_FIRST.format(folder.parent)):
+                lowered = self._jitted.lower(*args)
+                # Code holds the form of its results, too, of which the program tells nothing.
+                program = digest(lowered.as_text(), str(lowered.out_tree), *where)
+                if code is not None:
+                    _check(named, program, self.name)
+                    return code
+                path = folder / f"{program}.code"
+                code = _load(path)
+                if code is None:
+                    code = _compile(lowered)
+                    _write(path, _serialized(code))
+            _LOG.info("%s is ready after %.1f s", self.name, time.monotonic() - begin)
             # Nothing that it depends on has been changed in the meantime.
             if digest(self.function, SOURCES, *where) == key:
                 _write(link, program.encode())
@@ -245,9 +255,9 @@ def _make_room(newest: Path) -> None:
         with contextlib.suppress(OSError):  # another process has just removed it
             known = path.stat()
             found.append((known.st_mtime, known.st_size, path))
-    now = next((time for time, _, path in found if path == newest), 0.0)
+    now = next((at for at, _, path in found if path == newest), 0.0)
     left = sum(size for _, size, _ in found)
-    for _, size, path in sorted((-abs(now - time), size, path) for time, size, path in found):
+    for _, size, path in sorted((-abs(now - at), size, path) for at, size, path in found):
         if left <= _MOST_BYTES:
             return
         with contextlib.suppress(OSError):

@@ -69,13 +69,15 @@ def suffixes(folder):
     return sorted(path.suffix for path in folder.iterdir())
 
 
-def test_what_is_kept_is_found_again_and_computes_the_same_bits(folder, compiled):
+def test_what_is_kept_is_found_again_and_computes_the_same_bits(folder, compiled, caplog):
+    caplog.set_level("INFO", "gnnjax.kept")
     first = np.asarray(cells()(POINT))
+    assert [record.message[:9] for record in caplog.records] == ["compiling", "functools"]
     assert len(compiled) == 1
     assert suffixes(folder) == [".code", ".link"]
     again = cells()
     assert np.asarray(again(POINT)).tobytes() == first.tobytes()
-    assert (len(compiled), again._cache_size()) == (1, 1)
+    assert (len(compiled), again._cache_size(), len(caplog.records)) == (1, 1, 2)
     np.testing.assert_array_equal(first, expected())
 
 

@@ -29,8 +29,8 @@ def test_the_table_of_contents_is_complete():
 
 # Imports go down this list only.
 ORDER = """
-interruption errors arguments per_object files devices clock digest surroundings kept roll_call
-cluster
+interruption notice errors arguments per_object files devices clock digest surroundings kept
+roll_call cluster
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
