@@ -16,7 +16,7 @@ def terminal(monkeypatch):
     monkeypatch.setattr(stream, "isatty", lambda: True, raising=False)
     for name, value in {"silent": False, "waited": 0.0, "told": False, "ended": 0.0}.items():
         monkeypatch.setattr(notice._State, name, value)
-    monkeypatch.setattr(notice, "_AFTER_S", 0.15)
+    monkeypatch.setattr(notice, "_AFTER_S", 0.1)
     monkeypatch.setattr(notice, "sys", SimpleNamespace(stderr=stream))
     return stream
 
@@ -27,8 +27,8 @@ def wait(seconds):
 
 
 def test_what_takes_long_is_told_once(terminal):
-    wait(0.3)
-    wait(0.3)
+    wait(0.2)
+    wait(0.2)
     assert terminal.getvalue() == "compiling\n"
 
 
@@ -45,7 +45,7 @@ def test_what_is_short_or_begins_later_is_told_for_itself(terminal, monkeypatch)
     assert terminal.getvalue() == ""
     monkeypatch.setattr(notice, "_APART_S", 0.0)
     for _ in range(2):
-        wait(0.3)
+        wait(0.2)
     assert terminal.getvalue() == 2 * "compiling\n"
 
 
