@@ -40,7 +40,8 @@ from gnnjax.planning.options import make_options
 from gnnjax.planning.planner import Planner
 from gnnjax.problems.labelled import generate_labelled, problem_keys
 from gnnjax.problems.problem import Problem
-from gnnjax.train_motion import area_under_curve, scene_sampler
+from gnnjax.train_motion import area_under_curve
+from gnnjax.training.motions import scene_sampler
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,16 +3,18 @@
 import contextlib
 import dataclasses
 import errno
+import os
 import reprlib
+import select
 import sys
 from collections.abc import Callable, Iterator
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnnjax import interruption
+from gnnjax import interruption, notice
 
 _FULL = "make room and start the same command again"
 _REMEDIES = {
@@ -93,30 +95,64 @@ def is_out_of_memory(error: Exception) -> bool:
 def run_command(
     main: Callable[[], int | None], again: str = "start the same command again"
 ) -> NoReturn:
-    """Runs a command's `main` and exits with its status, without a traceback for bad input.
+    """Runs a command's `main` and exits with its status, without a traceback for bad input. Where
+    nobody reads on what it prints (`| head`), it ends without a word, with status 141.
 
     Args:
         main: the command.
         again: what a user does to go on after an interruption.
     """
+    notice.silence()
+    for name in ("stdout", "stderr"):  # which may have been closed before
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))
+    status = 128 + 13  # of what SIGPIPE has ended, in shells
+    with contextlib.suppress(BrokenPipeError):
+        status = _status(main, again)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:  # Python would try again, and say so
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    sys.exit(status)
+
+
+def _status(main: Callable[[], int | None], again: str) -> Any:
+    """Runs `main` and says what went wrong."""
     try:
         with interruption.running(again):
-            status = main() or 0
+            try:
+                status = main() or 0
+            except SystemExit as error:  # --help
+                status = error.code
+            for stream in (sys.stdout, sys.stderr):
+                stream.flush()
+        return status
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        status = 2
+        said = str(error)
     except OSError as error:  # disk full, permission denied, a folder that is missing
+        if isinstance(error, BrokenPipeError) and (
+            _is_unread(sys.stdout) or _is_unread(sys.stderr)
+        ):
+            raise
         named = f"{error.strerror}: {error.filename}" if error.filename else str(error)
         remedy = _REMEDIES.get(error.errno or 0, "check the path")
-        print(f"error: {one_line(f'{named}; {remedy}')}", file=sys.stderr)
-        status = 2
+        said = one_line(f"{named}; {remedy}")
     except (MemoryError, jax.errors.JaxRuntimeError) as error:
         if not is_out_of_memory(error):
             raise
-        line = one_line(f"not enough memory; ask for fewer nodes ({error})")
-        print(f"error: {line}", file=sys.stderr)
-        status = 2
-    sys.exit(status)
+        said = one_line(f"not enough memory; ask for fewer nodes ({error})")
+    print(f"error: {said}", file=sys.stderr)
+    return 2
+
+
+def _is_unread(stream: TextIO) -> bool:
+    """Whether a stream is a pipe whose reader is gone."""
+    if not hasattr(select, "poll"):  # no POSIX
+        return True
+    poll = select.poll()
+    poll.register(stream.fileno(), 0)
+    return bool(poll.poll(0))
 
 
 def check_seed(seed: int) -> int:

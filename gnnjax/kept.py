@@ -18,6 +18,7 @@ import logging
 import os
 import pickle
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,10 +31,15 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from gnnjax.digest import Undigested, digest
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, cache_folder
+from gnnjax.notice import told_if_long
 from gnnjax.surroundings import SOURCES, keeps_code, machine, settings
 
 _LOG = logging.getLogger(__name__)
 _MOST_BYTES = 1 << 30  # of all files; those that were not read for longest go first
+_FIRST = (
+    "gnnjax: compiling for a first use of this kind, which may take a minute or more; "
+    "later ones find the code in {}"
+)
 _CHECK = "GNNJAX_CHECK_KEPT"  # in the environment: lower all the same, and compare
 # Settings of JAX that a function called in another context is compiled anew for.
 _CONTEXT = (
@@ -59,6 +65,10 @@ class Kept:
         return {"function": self.function, "donate_argnums": self.donate_argnums}
 
     def __call__(self, *args: Any) -> Any:
+        return self.code_for(*args)(*args)
+
+    def code_for(self, *args: Any) -> Callable:
+        """What computes arguments of these shapes, for many small calls: it does not look again."""
         leaves, tree = jax.tree.flatten(args)
         context = (getattr(jax.config, name) for name in _CONTEXT)
         shapes = tree, *context, *map(_outline, leaves)
@@ -68,7 +78,7 @@ class Kept:
                 found = self._found.get(shapes)
                 if found is None:
                     found = self._found[shapes] = self._find(tree, leaves, args)
-        return found(*args)
+        return found
 
     def _cache_size(self) -> int:
         """For how many shapes it was compiled, as JAX calls it."""
@@ -89,17 +99,21 @@ class Kept:
             code = None if named is None else _load(folder / f"{named.decode()}.code")
             if code is not None and not os.environ.get(_CHECK):
                 return code
-            lowered = self._jitted.lower(*args)
-            # Code holds the form of its results, too, of which the program tells nothing.
-            program = digest(lowered.as_text(), str(lowered.out_tree), *where)
-            if code is not None:
-                _check(named, program, self.name)
-                return code
-            path = folder / f"{program}.code"
-            code = _load(path)
-            if code is None:
-                code = _compile(lowered)
-                _write(path, _serialized(code))
+            _LOG.info("compiling %s", self.name)
+            begin = time.monotonic()
+            with told_if_long(_FIRST.format(folder.parent)):
+                lowered = self._jitted.lower(*args)
+                # Code holds the form of its results, too, of which the program tells nothing.
+                program = digest(lowered.as_text(), str(lowered.out_tree), *where)
+                if code is not None:
+                    _check(named, program, self.name)
+                    return code
+                path = folder / f"{program}.code"
+                code = _load(path)
+                if code is None:
+                    code = _compile(lowered)
+                    _write(path, _serialized(code))
+            _LOG.info("%s is ready after %.1f s", self.name, time.monotonic() - begin)
             # Nothing that it depends on has been changed in the meantime.
             if digest(self.function, SOURCES, *where) == key:
                 _write(link, program.encode())
@@ -225,20 +239,25 @@ def _write(path: Path, content: bytes | None) -> None:
         return
     try:
         atomic_write(path, lambda part: part.write_bytes(_sealed(path.name, content) + content))
-        _make_room(path.parent)
+        _make_room(path)
     except (OSError, InputError) as error:
         _say_once(f"what was compiled is not kept: {error}")
 
 
-def _make_room(folder: Path) -> None:
-    """Removes files that were not read for longest, until the others are few enough."""
+def _make_room(newest: Path) -> None:
+    """Removes files that were not read for longest, until the others are few enough.
+
+    Clocks of machines that share the folder may differ. So time is told by the file just written,
+    and one from the future, which would never go, is as old as it is far from there.
+    """
     found = []
-    for path in folder.iterdir():
+    for path in newest.parent.iterdir():
         with contextlib.suppress(OSError):  # another process has just removed it
             known = path.stat()
             found.append((known.st_mtime, known.st_size, path))
+    now = next((at for at, _, path in found if path == newest), 0.0)
     left = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
+    for _, size, path in sorted((-abs(now - at), size, path) for at, size, path in found):
         if left <= _MOST_BYTES:
             return
         with contextlib.suppress(OSError):

@@ -3,14 +3,15 @@
 There is no data set. Every step draws scenes of all kinds, motions of the arms in them, and tests
 these with the collision checker, all on the device; no scene is ever seen twice.
 
-Options, data, step and loop of the command are together here, to be read from top to bottom.
+Options, batches, step and loop of the command are together here, to be read from top to bottom;
+what is drawn is in `training/motions.py`.
 """
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,25 +19,19 @@ import numpy as np
 import optax
 from flax import nnx
 from jax.sharding import Mesh
-from jaxtyping import Array, Bool, Float
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import UNCONNECTED, ConnectedCluster
-from gnnjax.collision.checker import make_checker
-from gnnjax.collision.fused import boxes_clear
 from gnnjax.devices import cache_compilations, map_first
 from gnnjax.errors import InputError, run_command
 from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
-from gnnjax.problems.families import BOX_FAMILIES
-from gnnjax.problems.family_problem import draw_family_scene
-from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
+from gnnjax.scene.scene import Scene
+from gnnjax.training.motions import make_scene_batches, motion_sampler
 from gnnjax.training.parallel import all_devices, dealt, mean_over_devices, on_each_device
 from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
 
-_MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
-_PAPER_SHARE = 0.5  # of the scenes; the families share the rest
 _FREE_SHARE = 0.8  # of the motions: begin at a free configuration
 # Lengths of motions, rad, and how many are of each kind: none at all, as for nodes; pieces as they
 # are looked at; and longer pieces, as of very long motions.
@@ -76,83 +71,23 @@ class TrainMotionConfig:
     cluster: ConnectedCluster = UNCONNECTED
 
 
-class Motions(NamedTuple):
-    """Motions in one scene, and whether they are free."""
-
-    starts: Float[Array, "*batch M D"]  # configurations, rad or m
-    ends: Float[Array, "*batch M D"]
-    valid: Bool[Array, "*batch M"]  # at both ends and in between
-
-
-def scene_sampler(robot: Robot) -> Callable[[jax.Array], Scene]:
-    """Makes `key -> Scene`: the paper's, or of a family drawn at random, half of each."""
-    zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
-    clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
-
-    def paper(key: jax.Array) -> Scene:
-        return pad_boxes(sample_scene(key, clear), _MAX_BOXES)
-
-    def family(name: str, key: jax.Array) -> Scene:
-        scene = draw_family_scene(key, name, robot).scene
-        # Boxes in the arm's base would block every motion.
-        scene = scene._replace(mask=scene.mask & clear(scene, base_only=True))
-        return pad_boxes(scene, _MAX_BOXES)
-
-    kinds = [paper, *(functools.partial(family, name) for name in BOX_FAMILIES)]
-    shares = [_PAPER_SHARE] + [(1 - _PAPER_SHARE) / len(BOX_FAMILIES)] * len(BOX_FAMILIES)
-
-    def sample(key: jax.Array) -> Scene:
-        kind_key, scene_key = jax.random.split(key)
-        kind = jax.random.choice(kind_key, len(kinds), p=jnp.array(shares))
-        return jax.lax.switch(kind, kinds, scene_key)
-
-    return sample
-
-
-def motion_sampler(
-    robot: Robot, num: int, lengths: tuple[tuple[float, float, float], ...], free_share: float
-) -> Callable[[jax.Array], tuple[Scene, Motions]]:
-    """Makes `key -> (Scene, Motions [M])`.
+def make_batches(
+    robot: Robot, config: TrainMotionConfig, draw_scenes: Callable, mesh: Mesh | None = None
+) -> Callable[[jax.Array], tuple[ArmView, ArmView, jax.Array, jax.Array]]:
+    """Makes the function `key -> (start, end, length, valid)`, all scenes' in one row.
 
     Args:
         robot: the arm.
-        num: motions, M.
-        lengths: least and largest length, configuration units, and share of each kind.
-        free_share: share of the motions that begin at a free configuration where there are enough.
+        config: of the training.
+        draw_scenes: from `make_scene_batches`, of the same mesh.
+        mesh: of the devices.
     """
-    draw_scene = scene_sampler(robot)
-    checker = make_checker(robot)
-    lower, upper = jnp.asarray(robot.joint_lower), jnp.asarray(robot.joint_upper)
-    least, largest, share = (jnp.array(x) for x in zip(*lengths, strict=True))
-    chosen_free = int(free_share * num)
-
-    def draw(key: jax.Array) -> tuple[Scene, Motions]:
-        keys = jax.random.split(key, 5)
-        scene = draw_scene(keys[0])
-        q = jax.random.uniform(keys[1], (2 * num, robot.num_dof), minval=lower, maxval=upper)
-        free_first = jnp.argsort(~checker.check_configurations(scene, q))
-        starts = jnp.concatenate([q[free_first[:chosen_free]], q[: num - chosen_free]])
-        kind = jax.random.choice(keys[2], len(lengths), (num,), p=share)
-        length = jax.random.uniform(keys[3], (num,), minval=least[kind], maxval=largest[kind])
-        direction = jax.random.normal(keys[4], starts.shape)
-        direction /= jnp.linalg.norm(direction, axis=-1, keepdims=True)
-        ends = jnp.clip(starts + length[:, None] * direction, lower, upper)
-        at_ends = checker.check_configurations(scene, jnp.concatenate([starts, ends]))
-        valid = checker.check_edges(scene, starts, ends).valid
-        return scene, Motions(starts, ends, valid & at_ends[:num] & at_ends[num:])
-
-    return draw
-
-
-def make_batches(
-    robot: Robot, config: TrainMotionConfig, mesh: Mesh | None = None
-) -> Callable[[jax.Array], tuple[ArmView, ArmView, jax.Array, jax.Array]]:
-    """Makes the function `key -> (start, end, length, valid)`, all scenes' in one row."""
     draw = motion_sampler(robot, config.motions, _LENGTHS, _FREE_SHARE)
     view = arm_view(robot, config.num_points)
 
-    def one(key: jax.Array):
-        scene, motions = draw(key)
+    def one(given: tuple[jax.Array, Scene]):
+        key, scene = given
+        motions = draw(key, scene)
         seen = view(scene, jnp.concatenate([motions.starts, motions.ends]))
         start, end = (
             jax.tree.map(lambda x, p=part: x[p], seen)
@@ -162,15 +97,20 @@ def make_batches(
         return start, end, length, motions.valid
 
     @jax.jit
-    def batch(keys: jax.Array, num: jax.Array):
-        def some(keys: jax.Array):
-            drawn = map_first(one, num, keys)
+    def batch(keys: jax.Array, scenes: Scene, num: jax.Array):
+        def some(given: tuple[jax.Array, Scene]):
+            drawn = map_first(one, num, given)
             return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), drawn)
 
-        return on_each_device(some, mesh)(keys)
+        return on_each_device(some, mesh)((keys, scenes))
 
     each = config.scenes // (1 if mesh is None else mesh.size)
-    return lambda key: batch(dealt(jax.random.split(key, config.scenes), mesh), each)
+
+    def of_key(key: jax.Array):
+        keys = dealt(jax.random.split(key, config.scenes), mesh)
+        return batch(keys, draw_scenes(keys, each), each)
+
+    return of_key
 
 
 def make_step(
@@ -216,25 +156,34 @@ def area_under_curve(scores: np.ndarray, valid: np.ndarray) -> float:
 
 
 def make_validation(
-    robot: Robot, config: TrainMotionConfig, graphdef: Any
+    robot: Robot, config: TrainMotionConfig, draw_scenes: Callable, graphdef: Any
 ) -> Callable[[Any, jax.Array], tuple[np.ndarray, np.ndarray]]:
-    """Makes `(weights, key) -> (scores, valid)` of motions as long as a roadmap's edges."""
+    """Makes `(weights, key) -> (scores, valid)` of motions as long as a roadmap's edges.
+
+    Args:
+        robot: the arm.
+        config: of the training.
+        draw_scenes: from `make_scene_batches`, without a mesh.
+        graphdef: of the network.
+    """
     num, most = 128, 8
     draw = motion_sampler(robot, num, ((*_EDGE_LENGTHS, 1.0),), 1.0)
     view = arm_view(robot, config.num_points)
 
     @jax.jit
-    def validate(weights: Any, key: jax.Array, num: jax.Array):
-        def one(key: jax.Array):
-            scene, motions = draw(key)
+    def validate(weights: Any, keys: jax.Array, scenes: Scene, num: jax.Array):
+        def one(given: tuple[jax.Array, Scene]):
+            key, scene = given
+            motions = draw(key, scene)
             network = nnx.merge(graphdef, weights)
             prices = make_prices(network, functools.partial(view, scene))
             return -prices.motions(motions.starts, motions.ends, most), motions.valid
 
-        return map_first(one, num, jax.random.split(key, config.scenes))
+        return map_first(one, num, (keys, scenes))
 
     def on_host(weights: Any, key: jax.Array) -> tuple[np.ndarray, np.ndarray]:
-        scores, valid = validate(weights, key, config.scenes)
+        keys, num = jax.random.split(key, config.scenes), config.scenes
+        scores, valid = validate(weights, keys, draw_scenes(keys, num), num)
         return np.asarray(scores).ravel(), np.asarray(valid).ravel()
 
     return on_host
@@ -262,8 +211,12 @@ def _train_motion(config: TrainMotionConfig, mesh: Mesh | None) -> Path:
     )
     optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate))
     step = make_step(graphdef, optimizer, mesh)
-    batches = [make_batches(robot, config, mesh) for robot in robots]
-    validations = [make_validation(robot, config, graphdef) for robot in robots]
+    batches, validations = [], []
+    for robot in robots:
+        draw_scenes = make_scene_batches(robot)
+        dealt_out = draw_scenes if mesh is None else make_scene_batches(robot, mesh)
+        batches.append(make_batches(robot, config, dealt_out, mesh))
+        validations.append(make_validation(robot, config, draw_scenes, graphdef))
     state = TrainState(weights, optimizer.init(weights))
     train_key, validation_key = jax.random.split(jax.random.key(config.seed))
 
@@ -272,11 +225,11 @@ def _train_motion(config: TrainMotionConfig, mesh: Mesh | None) -> Path:
 
     def validated(state: TrainState) -> tuple[dict[str, float], str]:
         areas = {}
-        for name, validate in zip(config.robots, validations, strict=True):
+        for name, validate in zip(names_apart(config.robots), validations, strict=True):
             keys = jax.random.split(validation_key, _VALIDATION_STEPS)
             scores, valid = zip(*(validate(state.weights, key) for key in keys), strict=True)
             area = area_under_curve(np.concatenate(scores), np.concatenate(valid))
-            areas[f"edge_auc_{Path(name).stem}"] = area
+            areas[f"edge_auc_{name}"] = area
         words = ", ".join(f"{area:.4f}" for area in areas.values())
         return areas, f", area under the curve of edges {words}"
 
@@ -293,6 +246,13 @@ def _train_motion(config: TrainMotionConfig, mesh: Mesh | None) -> Path:
         mesh=mesh,
     )
     return run_training(training, config)
+
+
+def names_apart(robots: Sequence[str]) -> list[str]:
+    """What the log calls some arms: by their files' names, or where those of two are the same as
+    they were given."""
+    stems = [Path(name).stem for name in robots]
+    return stems if len(set(stems)) == len(set(robots)) else list(robots)
 
 
 def _check_config(config: TrainMotionConfig) -> None:

@@ -223,6 +223,7 @@ def _train_motion(folder: Path) -> None:
         stack.enter_context(mock.patch.object(optax, "chain", return_value=_OPTIMIZER))
         for name, cheap in {
             "MotionNetwork": _Network,
+            "make_scene_batches": lambda *args: None,
             "make_batches": lambda *args: lambda key: key,
             "make_step": lambda *args: _step,
             "make_validation": lambda *args: lambda weights, key: scores,

@@ -3,6 +3,7 @@
 import itertools
 import json
 import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from gnnjax.baselines.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.baselines.ompl import ClassicalPlanner
 from gnnjax.collision.certify import certify_path, configuration_clearance
 from gnnjax.collision.checker import make_checker
+from gnnjax.digest import digest
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
@@ -180,6 +182,18 @@ def test_both_checkers_agree(robot, fused_maker):
     found = [(fused(q), engine(q)) for q in nodes.astype(np.float32)]
     assert all(a == b for a, b in found)
     assert 0 < sum(a for a, _ in found) < len(found)
+
+
+def test_the_next_process_finds_the_compiled_checks(robot, monkeypatch):
+    kept = []
+
+    def keep(function):
+        kept.append(function)
+        return SimpleNamespace(code_for=lambda *args: lambda *args: (False, False, 0))
+
+    monkeypatch.setattr("gnnjax.baselines.ledger.keep", keep)
+    fused_checks.__wrapped__(robot, True, NUM_BOXES, 0.05)
+    assert len({digest(function) for function in kept}) == 2  # what has none is not kept
 
 
 @pytest.mark.parametrize("checker", CHECKERS)

@@ -1,5 +1,9 @@
 """Errors in one line."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -47,6 +51,39 @@ def test_a_command_returns_its_status():
         with pytest.raises(SystemExit) as exit_info:
             run_command(lambda returned=returned: returned)
         assert exit_info.value.code == status
+
+
+@pytest.fixture
+def unread():
+    """A pipe whose reader is gone, as that of `| head` when it has seen enough."""
+    read, write = os.pipe()
+    os.close(read)
+    with open(write, "w", buffering=1) as pipe:
+        yield pipe
+
+
+@pytest.mark.parametrize(
+    "main", [lambda: print("x"), lambda: print("x", end=""), lambda: sys.exit(print("x"))]
+)
+def test_a_command_whose_output_nobody_reads_ends_without_a_word(main, unread, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdout", unread)
+    with pytest.raises(SystemExit) as exit_info:
+        run_command(main)
+    assert exit_info.value.code == 141
+    assert capsys.readouterr().err == ""
+
+
+def test_nor_does_python_complain_at_the_end_of_the_process(unread):
+    command = [sys.executable, "-m", "gnnjax.planner_arena", "--help"]
+    ended = subprocess.run(command, stdout=unread, stderr=subprocess.PIPE, text=True)
+    assert (ended.stderr, ended.returncode) == ("", 141)
+
+
+def test_another_pipe_that_breaks_is_said(unread, capfd):
+    with pytest.raises(SystemExit) as exit_info:
+        run_command(lambda: os.write(unread.fileno(), b"x"))
+    assert exit_info.value.code == 2
+    assert capfd.readouterr().err == "error: [Errno 32] Broken pipe; check the path\n"
 
 
 @pytest.mark.parametrize(

@@ -69,13 +69,15 @@ def suffixes(folder):
     return sorted(path.suffix for path in folder.iterdir())
 
 
-def test_what_is_kept_is_found_again_and_computes_the_same_bits(folder, compiled):
+def test_what_is_kept_is_found_again_and_computes_the_same_bits(folder, compiled, caplog):
+    caplog.set_level("INFO", "gnnjax.kept")
     first = np.asarray(cells()(POINT))
+    assert [record.message[:9] for record in caplog.records] == ["compiling", "functools"]
     assert len(compiled) == 1
     assert suffixes(folder) == [".code", ".link"]
     again = cells()
     assert np.asarray(again(POINT)).tobytes() == first.tobytes()
-    assert (len(compiled), again._cache_size()) == (1, 1)
+    assert (len(compiled), again._cache_size(), len(caplog.records)) == (1, 1, 2)
     np.testing.assert_array_equal(first, expected())
 
 
@@ -239,14 +241,19 @@ def test_another_program_than_was_kept_is_found_out_where_asked(folder, compiled
 
 
 def test_the_files_that_were_not_read_for_longest_go_first(folder, monkeypatch):
-    for number in (1, 2):
-        kept._write(folder / str(number), bytes(1000))
-        os.utime(folder / str(number), (number, number))
+    ahead = time.time() + 1e9  # by a machine whose clock is wrong
+    for name, at in (("1", 1), ("2", 2), ("ahead", ahead)):
+        kept._write(folder / name, bytes(1000))
+        os.utime(folder / name, (at, at))
     kept._read(folder / "1")
     monkeypatch.setattr(kept, "_MOST_BYTES", 2500)
     kept._write(folder / "3", bytes(1000))
     assert sorted(path.name for path in folder.iterdir()) == ["1", "3"]
     assert os.stat(folder / "1").st_mtime == pytest.approx(time.time(), abs=60)
+    for name in ("1", "3"):  # by machines whose clocks are ahead of this one's
+        os.utime(folder / name, (ahead, ahead))
+    kept._write(folder / "4", bytes(1000))
+    assert (folder / "4").exists()
 
 
 def test_what_a_function_returns_is_kept_by_what_it_is_given(folder, monkeypatch):

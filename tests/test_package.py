@@ -29,8 +29,8 @@ def test_the_table_of_contents_is_complete():
 
 # Imports go down this list only.
 ORDER = """
-interruption errors arguments per_object files devices clock digest surroundings kept roll_call
-cluster
+interruption notice errors arguments per_object files devices clock digest surroundings kept
+roll_call cluster
 arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
 arm.contacts arm.robot arm.kinematics
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
@@ -58,7 +58,7 @@ planning.strategy planning.walks planning.guided planning.pool planning.shorteni
 planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.execution
-training.weights training.checkpoint training.parallel training.figure training.run
+training.weights training.checkpoint training.parallel training.motions training.figure training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
 measure.machine measure.rows measure.batches measure.result_files measure.statistics measure.table

@@ -1,10 +1,12 @@
 """Processes that share work find out who is done and who is lost: here, threads with files."""
 
 import json
+import os
 import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -103,6 +105,22 @@ def test_who_is_silent_or_never_came_is_named(tmp_path):
     with pytest.raises(LostProcess, match=r"process 1 of 2 is not there after 0.2 s; start all"):
         with RollCall(tmp_path / "other", Place(0, 2), 0.2) as others:
             others.gather()
+
+
+def test_clocks_and_names_of_machines_tell_nothing(tmp_path, monkeypatch):
+    # Here one of each for all: a clock that stands, and a name that many machines have.
+    clock = SimpleNamespace(time=lambda: 0.0, monotonic=time.monotonic, sleep=time.sleep)
+    monkeypatch.setattr(roll_call, "time", clock)
+    monkeypatch.setattr(roll_call, "_this_process", lambda: "process 1 on localhost")
+
+    def working(others):
+        for ahead in (0, 1e9, 5):  # as a file server has it
+            os.utime(others._file(1), (ahead, ahead))
+            time.sleep(0.2)
+        return others.gather()
+
+    found = together(tmp_path / "set", [RollCall.gather, working, RollCall.gather], patience=0.5)
+    assert found == {0: True, 1: False, 2: False}
 
 
 def test_two_processes_of_one_number_are_refused(tmp_path):

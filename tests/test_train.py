@@ -256,6 +256,8 @@ def test_a_kill_between_checkpoint_and_log_loses_no_record(network, tmp_path, mo
             patch.setattr(gnnjax.training.run, "atomic_write", killed)
             with pytest.raises(KeyboardInterrupt):
                 run.add(whole[1], state)
+    (first,) = (tmp_path / "run" / "tensorboard").iterdir()
+    ahead = first.rename(first.with_name("events.out.tfevents.3000000000.gnnjax"))  # by its clock
     with TrainingRun(tmp_path / "run", network, {"seed": 0}, "epoch") as run:
         assert run.begin(state, resume=True)[0] == 2
         run.finish(state.weights)
@@ -263,6 +265,7 @@ def test_a_kill_between_checkpoint_and_log_loses_no_record(network, tmp_path, mo
     assert [json.loads(line) for line in log] == whole
     assert read_metadata(tmp_path / "run" / "weights.safetensors")["training"]["log"] == whole[1:]
     (events,) = (tmp_path / "run" / "tensorboard").iterdir()
+    assert events.name > ahead.name  # or TensorBoard, which is reading that, would not find it
     assert [e.simple_value for e in read_events(events) if e.tag == "loss"] == [0.5, 0.25]
 
 

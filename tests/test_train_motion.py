@@ -17,9 +17,12 @@ from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.train_motion import (
     TrainMotionConfig,
     area_under_curve,
-    motion_sampler,
+    make_batches,
+    make_validation,
+    names_apart,
     train_motion,
 )
+from gnnjax.training.motions import make_scene_batches, motion_sampler
 from gnnjax.training.weights import load_network, read_metadata
 from tests.fine_scan import collides_anywhere
 
@@ -32,21 +35,31 @@ def compiled_once():
     are of all.
     """
 
-    def shared(make):
-        made = {}
+    made = {}
 
-        def make_once(robot, config, *rest):
-            key = robot, dataclasses.replace(config, out=Path(), resume=False), *rest
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(gnnjax.train_motion, "BOX_FAMILIES", BOX_FAMILIES[-1:])
-                return made.setdefault(key, make(robot, config, *rest))
+    def shared(make):
+        def make_once(*args):
+            key = (
+                make,
+                *(
+                    dataclasses.replace(x, out=Path(), resume=False)
+                    if isinstance(x, TrainMotionConfig)
+                    else x
+                    for x in args
+                ),
+            )
+            if key not in made:
+                with pytest.MonkeyPatch.context() as patch:
+                    patch.setattr("gnnjax.training.motions.BOX_FAMILIES", BOX_FAMILIES[-1:])
+                    made[key] = make(*args)
+            return made[key]
 
         return make_once
 
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("make_batches", "make_validation"):
-            patch.setattr(gnnjax.train_motion, name, shared(getattr(gnnjax.train_motion, name)))
-        yield
+        for make in (make_scene_batches, make_batches, make_validation):
+            patch.setattr(gnnjax.train_motion, make.__name__, shared(make))
+        yield made
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +96,11 @@ def test_a_run_learns_logs_and_leaves_weights(finished):
     assert meta["model"] == {"num_points": 3, "channels": 8}
     assert meta["training"]["steps"] == 24
     assert isinstance(load_network(finished.out / "weights.safetensors"), MotionNetwork)
+
+
+def test_scenes_to_train_and_to_validate_are_compiled_once(finished, compiled_once):
+    (draw_scenes,) = (made for key, made in compiled_once.items() if key[0] is make_scene_batches)
+    assert draw_scenes._cache_size() == 1
 
 
 def test_a_resumed_run_comes_to_the_same_numbers(finished, tmp_path, monkeypatch):
@@ -160,10 +178,13 @@ def test_a_run_cannot_go_into_a_file(finished, tmp_path):
 
 def test_motions_are_free_where_mujoco_says_so(tiny_path):
     robot = load_robot(tiny_path)
+    draw_scenes = make_scene_batches(robot)
     draw = jax.jit(motion_sampler(robot, 40, ((0.0, 0.0, 0.2), (0.5, 1.5, 0.8)), 0.5))
     agreed, valid = 0, []
     for seed in range(3):
-        scene, motions = jax.tree.map(np.asarray, draw(jax.random.key(seed)))
+        key = jax.random.key(seed)
+        scene = jax.tree.map(lambda x: np.asarray(x)[0], draw_scenes(key[None], 1))
+        motions = jax.tree.map(np.asarray, draw(key, scene))
         length = np.linalg.norm(motions.ends - motions.starts, axis=1)
         assert (length < 1.5 + 1e-5).all()
         for i in range(40):
@@ -184,3 +205,8 @@ def test_the_area_under_the_curve_counts_pairs_in_order():
         pairs = scores[valid][:, None] - scores[~valid]
         expected = np.mean((pairs > 0) + 0.5 * (pairs == 0))
         np.testing.assert_allclose(area_under_curve(scores, valid), expected)
+
+
+def test_arms_whose_files_are_called_the_same_are_told_apart():
+    assert names_apart(["kuka_iiwa14", "my/arm.xml"]) == ["kuka_iiwa14", "arm"]
+    assert names_apart(["left/arm.xml", "right/arm.xml"]) == ["left/arm.xml", "right/arm.xml"]

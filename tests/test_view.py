@@ -6,7 +6,6 @@ import shutil
 import socket
 import sys
 import time
-import urllib.request
 
 import mujoco
 import numpy as np
@@ -18,6 +17,7 @@ from gnnjax.scene.scene import scene_from_shapes
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.view import ViewConfig, main, open_page
 from gnnjax.viewer.answers import state_at
+from gnnjax.viewer.frames import Frames
 from tests.test_viewer import GOAL, SHAPES, START, TIMEOUT
 
 pytest.importorskip("viser", reason="the view extra is not installed")
@@ -255,11 +255,21 @@ def test_a_browser_shows_the_page_edits_it_and_may_go_while_it_drags(page, brows
 
     wait_for(drag)
     assert start.dragged
-    # The browser goes in mid-drag, and the server goes on.
+    # The browser goes in mid-drag, and the server goes on; the handles come back to the hand.
     tab.close()
     wait_for(lambda: not page.server.get_clients() and not start.dragged)
+    assert session.worker.wait(TIMEOUT)
+    hand = Frames(session.robot).tip(session.end("start"))
+    np.testing.assert_allclose(start.handles.position, hand[0], atol=1e-6)
+    np.testing.assert_allclose(start.handles.wxyz, hand[1], atol=1e-6)
+    # The next browser sees what there is.
     session.set_end("start", START)
     assert session.worker.wait(TIMEOUT)
     assert "certified free" in page.panel.status.content
-    with urllib.request.urlopen(f"http://127.0.0.1:{page.port}", timeout=TIMEOUT) as answer:
-        assert answer.status == 200
+    tab = browser.new_page(viewport={"width": 660, "height": 400})
+    tab.goto(f"http://127.0.0.1:{page.port}")
+    tab.get_by_text(f"cost {session.answer.plan.cost:.3f} rad").wait_for(timeout=1e3 * TIMEOUT)
+    shown = tab.locator("input[type=text]")
+    values = [float(shown.nth(1 + i).input_value()) for i in range(3)]
+    np.testing.assert_allclose(values, START, atol=1e-6)
+    tab.close()

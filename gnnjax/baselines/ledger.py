@@ -14,6 +14,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import make_checker
+from gnnjax.kept import keep
 from gnnjax.scene.mujoco_world import build_world, place_boxes
 from gnnjax.scene.scene import Scene, make_scene
 
@@ -70,27 +71,30 @@ def fused_checks(robot: Robot, axis_aligned: bool, max_boxes: int, resolution: f
     `check_edges`, all in one call."""
     checker = make_checker(robot, axis_aligned=axis_aligned, resolution=resolution)
 
-    @jax.jit
-    def check_one(scene: Scene, q: jax.Array) -> jax.Array:
+    def one(scene: Scene, q: jax.Array) -> jax.Array:
         return checker.check_configurations(scene, q[None])[0]
 
-    @jax.jit
-    def check_edge(scene: Scene, ends: jax.Array, end_known: jax.Array) -> jax.Array:
+    def edge(scene: Scene, ends: jax.Array, end_known: jax.Array) -> jax.Array:
         def interior() -> tuple[jax.Array, jax.Array]:
             checks = checker.check_edges(scene, ends[:1], ends[1:])
             return checks.valid[0], checks.num_checks[0]
 
-        end_valid = jax.lax.cond(
-            end_known, lambda: jnp.bool_(True), lambda: check_one(scene, ends[1])
-        )
+        end_valid = jax.lax.cond(end_known, lambda: jnp.bool_(True), lambda: one(scene, ends[1]))
         valid, count = jax.lax.cond(
             end_valid, interior, lambda: (jnp.bool_(False), jnp.zeros((), jnp.int32))
         )
         # One array, since each that comes back costs microseconds.
         return jnp.stack([end_valid, valid, count], dtype=jnp.int32)
 
+    kept_one, kept_edge = keep(one), keep(edge)
+    home = np.asarray(robot.home, np.float32)
+    unknown = np.bool_(False)
+
     def make(scene: Scene, ledger: Ledger) -> tuple[Callable, Callable]:
         scene = jax.device_put(scene)
+        # All calls of a query are alike, and a configuration takes a tenth of a millisecond.
+        check_one = kept_one.code_for(scene, home)
+        check_edge = kept_edge.code_for(scene, np.stack([home, home]), unknown)
 
         def is_valid(q: np.ndarray) -> bool:
             return bool(check_one(scene, q))
@@ -112,9 +116,9 @@ def fused_checks(robot: Robot, axis_aligned: bool, max_boxes: int, resolution: f
     # Compiled here, outside of any query's time.
     none = np.zeros((0, 3))
     blank = make_scene(none, none, max_boxes=max_boxes)
-    q = np.asarray(robot.home, np.float32)
-    check_one(blank, q).block_until_ready()
-    check_edge(blank, np.stack([q, q]), np.bool_(False)).block_until_ready()
+    is_valid, test_edge = make(blank, Ledger())
+    is_valid(home)
+    test_edge(home, home)
     return make
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.devices import deal, gather, num_cores
 from gnnjax.errors import InputError, is_out_of_memory
+from gnnjax.notice import silence
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
@@ -210,6 +211,8 @@ def work() -> None:
     questions, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     number = pickle.load(questions)
+    if number:  # the first tells for all of them
+        silence()
     # Before JAX starts as many threads as it may use cores.
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))

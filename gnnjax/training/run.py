@@ -170,7 +170,7 @@ class TrainingRun(contextlib.ExitStack):
         self._figure = figure
         self.out, self.records = out, []
         self._network, self._settings, self._unit, self._steps = network, settings, unit, steps
-        self._events = out / "tensorboard" / f"events.out.tfevents.{int(time.time())}.gnnjax"
+        self._events = _next_events(out / "tensorboard")
 
     def __enter__(self) -> "TrainingRun":
         super().__enter__()
@@ -247,6 +247,14 @@ class TrainingRun(contextlib.ExitStack):
 def _read_log(path: Path, unit: str, done: int) -> list[dict[str, Any]]:
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     return [record for record in map(json.loads, lines) if record[unit] <= done]
+
+
+def _next_events(folder: Path) -> Path:
+    """A file that TensorBoard, which looks for later names only, finds after those that are there,
+    also where the clock that named them was ahead."""
+    stamps = [path.name.split(".")[3] for path in folder.glob("events.out.tfevents.*")]
+    last = max((int(stamp) for stamp in stamps if stamp.isdecimal()), default=0)
+    return folder / f"events.out.tfevents.{max(int(time.time()), last + 1)}.gnnjax"
 
 
 def _append_event(path: Path, record: dict[str, Any], step: int) -> None:

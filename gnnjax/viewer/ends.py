@@ -48,6 +48,8 @@ class EndControls:
             if event.phase == "update":
                 pose = np.array(self.handles.position), np.array(self.handles.wxyz)
                 session.drag_end(name, *pose)
+            elif not self.dragged:  # once the hand is where it can be: the handles may be elsewhere
+                session.worker.ask(f"handles {name}", self._bring_handles)
 
     def show(self) -> None:
         """Follows the session."""
@@ -58,8 +60,14 @@ class EndControls:
         self._ghost.place(q)
         for slider, value in zip(self.sliders, q, strict=True):
             slider.value = _short(value)
+        self._bring_handles()
+
+    def _bring_handles(self) -> None:
+        """To the hand, unless they are what brings the hand."""
         if not self.dragged:
-            self.handles.position, self.handles.wxyz = self._frames.tip(q)
+            self.handles.position, self.handles.wxyz = self._frames.tip(
+                self._session.end(self._name)
+            )
 
     def _follow(self, number: int) -> None:
         @self.sliders[number].on_update
