@@ -157,6 +157,6 @@ def _is_unread(stream: TextIO) -> bool:
 
 def check_seed(seed: int) -> int:
     """Returns a seed that JAX can take, or says that it cannot."""
-    if not 0 <= seed < 2**31:
-        raise InputError(f"seed is {seed}; choose 0 to {2**31 - 1}")
+    if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**31:
+        raise InputError(f"seed is {seed}; choose an integer from 0 to {2**31 - 1}")
     return seed

@@ -1,5 +1,7 @@
 """Certification against a fine scan with MuJoCo's C engine."""
 
+import inspect
+
 import jax
 import mujoco
 import numpy as np
@@ -11,6 +13,7 @@ from gnnjax.collision.bounds import Spheres, spheres_of
 from gnnjax.collision.certify import (
     certify_edges,
     certify_path,
+    check_scene,
     clearances,
     configuration_clearance,
     path_clearance,
@@ -354,6 +357,14 @@ def test_clearances_are_those_of_single_configurations(robots):
     np.testing.assert_array_equal(touching[found <= 0], found[found <= 0])
     assert 2 < (found <= 0).sum() == (touching <= 0).sum() < 100
     assert np.isnan(configuration_clearance(robot, scenes[1], q[0] * np.nan))
+
+
+@pytest.mark.parametrize(
+    ("thing", "name"), [(None, "NoneType"), ("scene.json", "str"), ({}, "dict")]
+)
+def test_what_is_no_scene_is_refused(thing, name):
+    with pytest.raises(InputError, match=f"the scene is a {name}; make one with make_scene"):
+        inspect.unwrap(check_scene)(thing)
 
 
 def test_a_scene_that_is_none_is_named_among_others(robots):

@@ -14,7 +14,7 @@ from gnnjax.training.run import AGAIN
 
 @pytest.mark.parametrize("seed", [-1, 2**31, 2**70])
 def test_a_seed_that_jax_cannot_take_is_refused(seed):
-    with pytest.raises(InputError, match=rf"seed is {seed}; choose 0 to 2147483647"):
+    with pytest.raises(InputError, match=rf"seed is {seed}; choose an integer from 0 to"):
         check_seed(seed)
 
 

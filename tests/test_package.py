@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import gnnjax
+from gnnjax.__main__ import COMMANDS, main
 
 ROOT = Path(__file__).parents[1]
 
@@ -67,7 +68,7 @@ generate paper.losses train train_motion evaluate planner_arena video query_opti
 plot_execution execute fit
 viewer.frames viewer.meshes viewer.worker viewer.answers viewer.session viewer.prices viewer.stage
 viewer.player viewer.ends viewer.obstacles viewer.saving viewer.downloads viewer.panel viewer.page
-view
+view __main__
 """.split()
 # Imported up the list, inside of functions: by name, when somebody asks for it.
 LAZY = {
@@ -132,3 +133,17 @@ print(*sorted(name for name in sys.modules if name.startswith({GUESTS!r})))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == ""
+
+
+def test_all_commands_are_named(monkeypatch, capsys):
+    runs = {
+        path.stem for path in (ROOT / "gnnjax").glob("*.py") if "run_command(" in path.read_text()
+    }
+    assert set(COMMANDS) == runs - {"errors"}
+    monkeypatch.setattr("sys.argv", ["gnnjax"])
+    assert main() == 0
+    printed = capsys.readouterr().out
+    assert all(f"python -m gnnjax.{name} " in printed for name in COMMANDS)
+    monkeypatch.setattr("sys.argv", ["gnnjax", "plan", "--scene", "scene.json"])
+    assert main() == 2
+    assert "write python -m gnnjax.plan" in capsys.readouterr().err

@@ -259,8 +259,14 @@ def check_scene(scene: Scene) -> None:
     """Refuses one scene that nothing can be proven in.
 
     Raises:
-        InputError: a box that is not finite, has no size, or a quaternion that is not normalized.
+        InputError: what is no scene; a box that is not finite, has no size, or a quaternion that is
+            not normalized.
     """
+    if not isinstance(scene, Scene):
+        raise InputError(
+            f"the scene is a {type(scene).__name__}; make one with make_scene, scene_from_shapes "
+            "or scene_from_json"
+        )
     for fault in scene_faults(scene):
         if fault is not None:
             raise InputError(fault)
