@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from experiments.campaign_edges import Edges, draw_shapes, push
+from experiments.campaign_edges import Edges, Pieces, draw_shapes, push
 from experiments.certify_campaign import SHIPPED, enter, told, write
 from experiments.judge import Arm, Judge
 from gnnjax.arguments import parse_arguments
@@ -88,10 +88,10 @@ class Corner(NamedTuple):
         """Of the path before and behind it, configuration units."""
         return float(self.curve.blends[self.number])
 
-    def at(self, share: float) -> np.ndarray:
-        """A configuration `[D]`, as motions have it."""
+    def at(self, shares: np.ndarray) -> np.ndarray:
+        """Configurations `[N, D]` at shares `[N]`, as motions have them."""
         low, high = self.curve.entries[self.number], self.curve.exits[self.number]
-        return np.asarray(places(self.curve, np.array([low + share * (high - low)])).q[0])
+        return np.asarray(places(self.curve, low + shares * (high - low)).q)
 
     @property
     def most(self) -> np.ndarray:
@@ -183,18 +183,13 @@ def pushed(
         x.reshape(len(owner), -1) for x in (points[:, :-1], points[:, 1:], slack)
     )
 
-    def proves(scenes: Scene) -> np.ndarray:
-        free = certify_edges(arm.robot, scenes, starts, ends, owner, slack)
-        return np.asarray(free.reshape(-1, _CHORDS).all(axis=1))
-
     edges = Edges(
         [x.shapes for x in corners],
         scenes,
         [None] * len(corners),
-        np.stack([x.at(0.0) for x in corners]),
-        np.stack([x.at(1.0) for x in corners]),
+        *np.stack([x.at(np.array([0.0, 1.0])) for x in corners], axis=1),
     )
-    moved = push(rng, arm, edges, proves)
+    moved = push(rng, arm, edges, Pieces(starts, ends, owner, slack))
     return [x._replace(shapes=own) for x, own in zip(corners, moved.shapes, strict=True)]
 
 

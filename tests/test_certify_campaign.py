@@ -20,6 +20,7 @@ def config(tmp_path_factory):
         random_arms=1,
         distorted=0,
         step=0.01,
+        seed=0,
         runs=folder,
         json=folder / "summary.json",
     )
@@ -53,7 +54,7 @@ def test_a_certificate_that_bounds_motion_too_low_is_refuted(arms, monkeypatch):
     arm = arms["kinova_gen3"]
     reach = bounds.Spheres._reach
     monkeypatch.setattr(bounds.Spheres, "_reach", lambda *given: 0.2 * reach(*given))
-    monkeypatch.setattr(certify, "_FIRST_CUT", 10.0)
+    monkeypatch.setattr(certify, "FIRST_CUT", 10.0)
     bounds.spheres_of.cache_clear()
     found = measure_block(arm, (1,), 60, 0.01)
     bounds.spheres_of.cache_clear()
