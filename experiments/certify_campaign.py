@@ -24,7 +24,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from experiments.campaign_edges import Edges, draw_edges, draw_points, lengthen, push
+from experiments.campaign_edges import Edges, draw_edges, draw_points
+from experiments.grazing import lengthen, push
 from experiments.judge import NEAR, Arm, Judge, Scan
 from experiments.random_arm import BASE, distorted_arm, random_arm
 from gnnjax.arguments import parse_arguments

@@ -25,8 +25,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from experiments.campaign_edges import Edges, Pieces, draw_shapes, push
+from experiments.campaign_edges import Edges, draw_shapes
 from experiments.certify_campaign import SHIPPED, enter, told, write
+from experiments.grazing import Pieces, push
 from experiments.judge import Arm, Judge
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import load_robot
@@ -52,7 +53,7 @@ from gnnjax.trajectory.curve import (
 )
 from gnnjax.trajectory.smooth import smooth_paths
 
-_BLOCK = 16  # problems between two writes of the results
+_BLOCK = 128  # problems between two writes of the results
 _PAIRS = 8  # of ends that are drawn for a scene
 _BLEND = 1.0  # configuration units, of an edge
 _CHORDS = 6  # of a corner, to be certified anew
@@ -63,11 +64,11 @@ _COUNTS = "problems,solved,stops,straight,corners,pushed,scanned,noise".split(",
 class CurvesConfig:
     """Certify rounded paths, and scan them with MuJoCo's C engine."""
 
-    num_problems: int = 10_000
+    num_problems: int = 12_000
     """Planned problems, shared out over the arms."""
     step: float = 0.001
     """Largest distance of neighbouring configurations of the scan, rad (or m)."""
-    seed: int = 0
+    seed: int = 1
     """Of scenes, ends and roadmaps."""
     runs: Path = Path("runs/certify_curves")
     """Folder of what was found problem by problem."""

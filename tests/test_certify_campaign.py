@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments import campaign_edges, certify_campaign
+from experiments import campaign_edges, certify_campaign, grazing
 from experiments.campaign_edges import draw_shapes
 from experiments.certify_campaign import CampaignConfig, make_arms, measure_block, run
 from experiments.engine import Engine
@@ -34,7 +34,7 @@ def arms(config):
         patch.setattr(certify_campaign, "_HOLDERS", {"kinova_gen3": "bracelet_link"})
         patch.setattr(campaign_edges, "_SCENES", 6)
         patch.setattr(campaign_edges, "_STARTS", 4)
-        patch.setattr(campaign_edges, "_BISECTIONS", 11)
+        patch.setattr(grazing, "_BISECTIONS", 11)
         made = make_arms(config)
         patch.setattr(certify_campaign, "make_arms", lambda config: made)
         yield made
