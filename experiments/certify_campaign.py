@@ -33,6 +33,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import is_self_free
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import atomic_write, check_target
+from gnnjax.measure.machine import describe_machine
 from gnnjax.scene.shapes import Shape, box, capsule, cylinder
 
 SHIPPED = ("kuka_iiwa14", "kinova_gen3", "franka_panda")
@@ -187,7 +188,7 @@ def summarize(blocks: list[dict]) -> dict:
     near = np.concatenate([block["gaps"] for block in blocks])
     total = {
         name: sum(block[name] for block in blocks)
-        for name in ("edges", "grazing", "scanned", "noise")
+        for name in ("edges", "grazing", "scanned", "noise", "seconds")
     }
     return {
         "edges": total["edges"],
@@ -197,6 +198,7 @@ def summarize(blocks: list[dict]) -> dict:
         "least_gap_um": float(1e6 * min(block["least"] for block in blocks)),
         "configurations": total["scanned"],
         "within_rounding": total["noise"],
+        "cpu_ms_an_edge": 1e3 * total["seconds"] / max(1, total["edges"]),
         "refuted": sum(len(block["refuted"]) for block in blocks),
     }
 
@@ -226,7 +228,8 @@ def run(config: CampaignConfig) -> dict:
             print(f"refuted: see {path}")
     found["all"] = [block for blocks in found.values() for block in blocks]
     summary = {name: summarize(blocks) for name, blocks in found.items()}
-    write(config.json, {"settings": settings, "arms": summary})
+    about = {"machine": describe_machine(), "settings": settings}
+    write(config.json, about | {"arms": summary})
     _show(summary)
     return summary
 
@@ -237,8 +240,8 @@ def write(path: Path, results: object) -> None:
 
 
 def _show(summary: dict[str, dict]) -> None:
-    columns = "edges,grazing,within 2 mm,median gap,least gap,scanned,within rounding,refuted"
-    caption = "gaps in micrometres; configurations scanned"
+    columns = "edges,grazing,within 2 mm,median gap,least gap,scanned,within rounding,ms,refuted"
+    caption = "gaps in micrometres; configurations scanned; CPU time an edge"
     table = Table("arm", *columns.split(","), caption=caption)
     for name, part in summary.items():
         texts = [

@@ -34,6 +34,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, clearances
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import check_target
+from gnnjax.measure.machine import describe_machine
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.query import QueryPlanner
@@ -64,7 +65,7 @@ _COUNTS = "problems,solved,stops,straight,corners,pushed,scanned,noise".split(",
 class CurvesConfig:
     """Certify rounded paths, and scan them with MuJoCo's C engine."""
 
-    num_problems: int = 12_000
+    num_problems: int = 12_600
     """Planned problems, shared out over the arms."""
     step: float = 0.001
     """Largest distance of neighbouring configurations of the scan, rad (or m)."""
@@ -235,7 +236,8 @@ def run(config: CurvesConfig) -> dict:
     found["all"] = [block for own in found.values() for block in own]
     summary = {name: summarize(own) for name, own in found.items()}
     settings = {"num_problems": config.num_problems, "step": config.step, "seed": config.seed}
-    write(config.json, {"settings": settings, "arms": summary})
+    about = {"machine": describe_machine(), "settings": settings}
+    write(config.json, about | {"arms": summary})
     _show(summary)
     return summary
 
