@@ -1,5 +1,6 @@
-"""Certified motions for the campaign against the certificate, and those that graze."""
+"""Certified motions for the campaign against the certificate."""
 
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import mujoco
 import numpy as np
 
 from experiments.judge import ROOM, Arm
-from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.certify import certify_edges, clearances
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import Cloud
 from gnnjax.scene.numbers import unit_quats
@@ -24,11 +25,10 @@ from gnnjax.scene.shapes import (
     sphere,
 )
 
-_SCENES = 64  # at once
+_SCENES = 256  # at once, at most
 _STARTS = 6  # a scene, of which those that are certified are kept
-_BISECTIONS = 14
+_OF_A_SCENE = 4  # which are so many, about
 _LENGTHS = (0.2, 1.5)  # of edges, configuration units
-_PLACES = {"half_space": "point"}  # of others it is their center
 
 
 class Edges(NamedTuple):
@@ -96,30 +96,53 @@ def draw_shapes(rng: np.random.Generator, reach: float) -> list[Shape]:
 
 
 def draw_edges(
-    rng: np.random.Generator, arm: Arm, reach: float, cloud: tuple[np.ndarray, float] | None
+    rng: np.random.Generator, arm: Arm, num: int, cloud: tuple[np.ndarray, float] | None
 ) -> Edges:
     """Certified edges, as they come.
 
     Args:
         rng: randomness.
         arm: whose motions they are.
-        reach: m, of obstacles.
+        num: how many.
         cloud: points about their own origin, and radius of the balls, that are put somewhere.
     """
-    robot, scenes, shapes, poses = arm.robot, [], [], []
-    for _ in range(_SCENES):
+    drawn, found = [], 0
+    while found < num:
+        scenes = min(_SCENES, -(-(num - found) // _OF_A_SCENE))
+        drawn.append(_draw_edges(rng, arm, scenes, cloud))
+        found += len(drawn[-1].starts)
+    shapes, scenes, poses, starts, ends = zip(*drawn, strict=True)
+    every = Edges(
+        list(itertools.chain(*shapes)),
+        jax.tree.map(lambda *parts: np.concatenate(parts), *scenes),
+        list(itertools.chain(*poses)),
+        np.concatenate(starts),
+        np.concatenate(ends),
+    )
+    return every.take(np.arange(num))
+
+
+def _draw_edges(
+    rng: np.random.Generator, arm: Arm, num: int, cloud: tuple[np.ndarray, float] | None
+) -> Edges:
+    """Those of `num` scenes."""
+    robot, reach, scenes, shapes, poses = arm.robot, arm.reach, [], [], []
+    for _ in range(num):
         shapes.append(draw_shapes(rng, reach))
         poses.append(
             None if cloud is None else (_place(rng, reach), unit_quats(rng.normal(size=4)))
         )
         scenes.append(_scene(shapes[-1], cloud, poses[-1]))
     stacked = stack_scenes(scenes)
-    owner = np.repeat(np.arange(_SCENES), _STARTS)
+    owner = np.repeat(np.arange(num), _STARTS)
     starts = rng.uniform(robot.joint_lower, robot.joint_upper, (len(owner), robot.num_dof))
-    ways = _directions(rng, *starts.shape) * rng.uniform(*_LENGTHS, (len(owner), 1))
+    ways = directions(rng, *starts.shape) * rng.uniform(*_LENGTHS, (len(owner), 1))
     ends = np.clip(starts + ways, robot.joint_lower, robot.joint_upper)
+    # What begins blocked costs most, and tells no more than what ends so.
+    free = clearances(robot, stacked, starts, owner, 0.0) > 0
+    starts, ends, owner = starts[free], ends[free], owner[free]
     held = np.flatnonzero(certify_edges(robot, stacked, starts, ends, owner))
-    nothing = np.zeros((_SCENES, 0))
+    nothing = np.zeros((num, 0))
     every = Edges(shapes, stacked, poses, nothing, nothing).take(owner[held])
     return every._replace(starts=starts[held], ends=ends[held])
 
@@ -144,88 +167,7 @@ def _turned(points: np.ndarray, quat: np.ndarray) -> np.ndarray:
     return points @ matrix.reshape(3, 3).T
 
 
-def _directions(rng: np.random.Generator, *shape: int) -> np.ndarray:
+def directions(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Of length 1, `[N D]`."""
     ways = rng.normal(size=shape)
     return ways / np.linalg.norm(ways, axis=1, keepdims=True)
-
-
-def push(
-    rng: np.random.Generator,
-    arm: Arm,
-    edges: Edges,
-    proves: Callable[[Scene], np.ndarray] | None = None,
-) -> Edges:
-    """Edges with an obstacle each, or its cloud, pushed towards the arm while certificates hold.
-
-    Args:
-        rng: randomness.
-        arm: whose motions they are.
-        edges: certified ones.
-        proves: which of E motions are certified in E other scenes, `[E]`; by default the edges.
-    """
-    robot, scenes, num = arm.robot, edges.scenes, len(edges.starts)
-
-    def are_free(scenes: Scene) -> np.ndarray:
-        return certify_edges(robot, scenes, edges.starts, edges.ends, np.arange(num))
-
-    proves = proves or are_free
-    data = mujoco.MjData(robot.mj_model)  # whose world is the base
-    moving = robot.geom_ids[robot.geom_bodies >= 0]
-    chosen, ways = np.zeros(num, int), np.zeros((num, 3))
-    for i, (own, pose) in enumerate(zip(edges.shapes, edges.clouds, strict=True)):
-        data.qpos[:] = edges.starts[i] + rng.random() * (edges.ends[i] - edges.starts[i])
-        mujoco.mj_kinematics(robot.mj_model, data)
-        target = data.geom_xpos[rng.choice(moving)]
-        chosen[i] = rng.integers(len(own))
-        if pose is not None:
-            ways[i] = target - pose[0]
-            continue
-        values = own[chosen[i]].values
-        ways[i] = target - values[_PLACES.get(own[chosen[i]].kind, "center")]
-        if "normal" in values:
-            ways[i] = ways[i] @ values["normal"] * values["normal"]
-
-    def pushed(share: np.ndarray) -> Scene:
-        shift = (share[:, None] * ways).astype(np.float32)
-        if scenes.cloud is not None:
-            points = scenes.cloud.points + shift[:, None]
-            return scenes._replace(cloud=scenes.cloud._replace(points=points))
-        centers = scenes.centers.copy()
-        centers[np.arange(num), chosen] += shift
-        return scenes._replace(centers=centers)
-
-    share = _bisect(num, lambda share: proves(pushed(share)))
-    shapes, clouds = [list(own) for own in edges.shapes], list(edges.clouds)
-    for i, shift in enumerate((share[:, None] * ways).astype(np.float32).astype(float)):
-        pose, own = clouds[i], shapes[i][chosen[i]]
-        if pose is not None:
-            clouds[i] = pose[0] + shift, pose[1]
-            continue
-        place = _PLACES.get(own.kind, "center")
-        values = {**own.values, place: own.values[place] + shift}
-        shapes[i][chosen[i]] = own._replace(values=values)
-    return edges._replace(scenes=pushed(share), shapes=shapes, clouds=clouds)
-
-
-def lengthen(rng: np.random.Generator, arm: Arm, edges: Edges) -> Edges:
-    """Edges in directions of their own, as long as certificates hold."""
-    robot, starts = arm.robot, edges.starts
-    ways = _directions(rng, *starts.shape) * rng.uniform(2.0, 6.0, (len(starts), 1))
-    ways = np.clip(starts + ways, robot.joint_lower, robot.joint_upper) - starts
-
-    def holds(share: np.ndarray) -> np.ndarray:
-        ends = starts + share[:, None] * ways
-        return certify_edges(robot, edges.scenes, starts, ends, np.arange(len(starts)))
-
-    return edges._replace(ends=starts + _bisect(len(starts), holds)[:, None] * ways)
-
-
-def _bisect(num: int, holds: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """About the largest shares from 0 to 1 at which something holds that holds at 0, `[num]`."""
-    low, high = np.zeros(num), np.ones(num)
-    whole = holds(high)
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        good = holds(middle)
-        low, high = np.where(good, middle, low), np.where(good, high, middle)
-    return np.where(whole, 1.0, low)

@@ -25,14 +25,16 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from experiments.campaign_edges import Edges, draw_shapes, push
+from experiments.campaign_edges import Edges, draw_shapes
 from experiments.certify_campaign import SHIPPED, enter, told, write
+from experiments.grazing import Pieces, push
 from experiments.judge import Arm, Judge
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges, clearances
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import check_target
+from gnnjax.measure.machine import describe_machine
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.query import QueryPlanner
@@ -52,7 +54,7 @@ from gnnjax.trajectory.curve import (
 )
 from gnnjax.trajectory.smooth import smooth_paths
 
-_BLOCK = 16  # problems between two writes of the results
+_BLOCK = 128  # problems between two writes of the results
 _PAIRS = 8  # of ends that are drawn for a scene
 _BLEND = 1.0  # configuration units, of an edge
 _CHORDS = 6  # of a corner, to be certified anew
@@ -63,11 +65,11 @@ _COUNTS = "problems,solved,stops,straight,corners,pushed,scanned,noise".split(",
 class CurvesConfig:
     """Certify rounded paths, and scan them with MuJoCo's C engine."""
 
-    num_problems: int = 10_000
+    num_problems: int = 12_600
     """Planned problems, shared out over the arms."""
     step: float = 0.001
     """Largest distance of neighbouring configurations of the scan, rad (or m)."""
-    seed: int = 0
+    seed: int = 1
     """Of scenes, ends and roadmaps."""
     runs: Path = Path("runs/certify_curves")
     """Folder of what was found problem by problem."""
@@ -88,10 +90,10 @@ class Corner(NamedTuple):
         """Of the path before and behind it, configuration units."""
         return float(self.curve.blends[self.number])
 
-    def at(self, share: float) -> np.ndarray:
-        """A configuration `[D]`, as motions have it."""
+    def at(self, shares: np.ndarray) -> np.ndarray:
+        """Configurations `[N, D]` at shares `[N]`, as motions have them."""
         low, high = self.curve.entries[self.number], self.curve.exits[self.number]
-        return np.asarray(places(self.curve, np.array([low + share * (high - low)])).q[0])
+        return np.asarray(places(self.curve, low + shares * (high - low)).q)
 
     @property
     def most(self) -> np.ndarray:
@@ -183,18 +185,13 @@ def pushed(
         x.reshape(len(owner), -1) for x in (points[:, :-1], points[:, 1:], slack)
     )
 
-    def proves(scenes: Scene) -> np.ndarray:
-        free = certify_edges(arm.robot, scenes, starts, ends, owner, slack)
-        return np.asarray(free.reshape(-1, _CHORDS).all(axis=1))
-
     edges = Edges(
         [x.shapes for x in corners],
         scenes,
         [None] * len(corners),
-        np.stack([x.at(0.0) for x in corners]),
-        np.stack([x.at(1.0) for x in corners]),
+        *np.stack([x.at(np.array([0.0, 1.0])) for x in corners], axis=1),
     )
-    moved = push(rng, arm, edges, proves)
+    moved = push(rng, arm, edges, Pieces(starts, ends, owner, slack))
     return [x._replace(shapes=own) for x, own in zip(corners, moved.shapes, strict=True)]
 
 
@@ -239,7 +236,8 @@ def run(config: CurvesConfig) -> dict:
     found["all"] = [block for own in found.values() for block in own]
     summary = {name: summarize(own) for name, own in found.items()}
     settings = {"num_problems": config.num_problems, "step": config.step, "seed": config.seed}
-    write(config.json, {"settings": settings, "arms": summary})
+    about = {"machine": describe_machine(), "settings": settings}
+    write(config.json, about | {"arms": summary})
     _show(summary)
     return summary
 

@@ -5,7 +5,6 @@ Motions are looked at every `step`, but for stretches in which no contact can be
 finds a gap at least twice as large as what the arm can move there, by a bound of this module's own.
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -22,6 +21,7 @@ _REACH = 0.06  # m; gaps up to this are found
 _CLOSELY = 5e-3
 NEAR = 2e-3  # m; gaps up to this are told
 _FIRST = 0.1  # configuration units; longer stretches are not looked at as a whole
+_PARTS = 7  # that a piece is cut into at once, at most; odd
 _AWAY = 1e3  # m; where obstacles wait that a scene has not
 _GEOMS = mujoco.mjtGeom
 # How many of a kind a world has room for, MuJoCo's geom, and its sizes.
@@ -167,47 +167,78 @@ class Judge:
         """Looks at a motion between configurations `[D]`, every `step` wherever it could matter."""
         way = end - start
         return self.scan_curve(
-            lambda share: start + share * way, np.abs(way), float(np.linalg.norm(way)), step
+            lambda shares: start + shares[:, None] * way,
+            np.abs(way),
+            float(np.linalg.norm(way)),
+            step,
         )
 
     def scan_curve(
-        self, at: Callable[[float], np.ndarray], most: np.ndarray, length: float, step: float
+        self, at: Callable[[np.ndarray], np.ndarray], most: np.ndarray, length: float, step: float
     ) -> Scan:
         """Looks at a curve likewise.
 
         Args:
-            at: configuration `[D]` at a share from 0 to 1.
+            at: configurations `[N, D]` at shares `[N]` from 0 to 1.
             most: `[D]` how fast each joint is at most, rad or m for a share of 1.
             length: how far neighbouring shares are apart at most, configuration units for 1.
             step: configuration units.
         """
-        model, data = self.model, self.data
         rates = self._rates @ most  # [G G] m that the gap of two geoms may shrink by
-        fastest = float(rates.max(initial=0.0))
-        pieces = max(1, int(np.ceil(length / _FIRST)))
-        cuts = np.linspace(0, 1, pieces + 1).tolist()
-        stack = [*itertools.pairwise(cuts), (0.0, 0.0), (1.0, 1.0)]
+        unseen = float(rates.max(initial=0.0)) / _REACH  # of gaps that are not told
+        cuts = np.linspace(0, 1, max(1, int(np.ceil(length / _FIRST))) + 1)
+        low, high = np.append(cuts[:-1], [0, 1]), np.append(cuts[1:], [0, 1])
         gap, between, count = np.inf, None, 0
-        while stack:
-            low, high = stack.pop()
-            data.qpos[self.planned] = at((low + high) / 2)
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            count += 1
-            geoms, dist = data.contact.geom[: data.ncon], data.contact.dist[: data.ncon]
-            matters = self._moves[geoms].any(axis=1)
-            geoms, dist = geoms[matters], dist[matters].copy()
-            for i in np.flatnonzero(dist < _CLOSELY):
-                dist[i] = mujoco.mj_geomDistance(model, data, *geoms[i].tolist(), 1.0, None)
+        while len(low):
+            row, geoms, dist = self._gaps(at((low + high) / 2))
+            count += len(low)
             if len(dist) and dist.min() < min(gap, NEAR):
                 gap = float(dist.min())
-                between = tuple(model.geom(int(g)).name for g in geoms[dist.argmin()])
-            half = (high - low) / 2
-            clear = _REACH >= 2 * fastest * half
-            clear = clear and bool((dist >= 2 * half * rates[geoms[:, 0], geoms[:, 1]]).all())
-            if not clear and (high - low) * length > step:
-                stack += [(low, (low + high) / 2), ((low + high) / 2, high)]
+                between = tuple(self.model.geom(int(g)).name for g in geoms[dist.argmin()])
+            # Into how many parts a piece must be cut so that no gap shrinks by more than half of
+            # itself from the middle of a part to its ends; and so that they are no longer than a
+            # step.
+            need = (high - low) * unseen
+            shrinks = (high - low)[row] * rates[geoms[:, 0], geoms[:, 1]]
+            np.maximum.at(need, row, shrinks / np.maximum(dist, 1e-9))
+            need = np.minimum(need, (high - low) * length / step)
+            low, high = _cut(low, high, need)
         return Scan(gap, between, count)
+
+    def _gaps(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All gaps of up to `_REACH` at configurations `[N, D]`: in which of them, between which
+        geoms `[C, 2]`, and how large they are, m."""
+        model, data = self.model, self.data
+        geoms, gaps = [], []
+        for configuration in q:
+            data.qpos[self.planned] = configuration
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            contact = data.contact
+            two, dist = contact.geom.copy(), contact.dist.copy()
+            for i in np.flatnonzero(dist < _CLOSELY):
+                if self._moves[two[i]].any():
+                    dist[i] = mujoco.mj_geomDistance(model, data, *two[i].tolist(), 1.0, None)
+            geoms.append(two)
+            gaps.append(dist)
+        row = np.repeat(np.arange(len(q)), [len(x) for x in gaps])
+        between, gap = np.concatenate(geoms), np.concatenate(gaps)
+        matters = self._moves[between].any(axis=1)
+        return row[matters], between[matters], gap[matters]
+
+
+def _cut(low: np.ndarray, high: np.ndarray, need: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cuts pieces into as many parts as they need, and returns those whose middles are not known.
+
+    They are odd in number: the one in the middle has the middle of the piece.
+    """
+    parts = np.ceil(np.clip(need, 1, _PARTS)).astype(int) // 2 * 2 + 1
+    row = np.repeat(np.arange(len(parts)), parts)
+    number = np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts)
+    width = ((high - low) / parts)[row]
+    left = (2 * number + 1 != parts[row]) | (need > parts)[row]
+    begin = low[row] + number * width
+    return begin[left], (begin + width)[left]
 
 
 def _rates(model: mujoco.MjModel) -> np.ndarray:

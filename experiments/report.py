@@ -1,4 +1,5 @@
-"""Writes the results into the texts: docs/results.md, docs/paper.md and the README's tables.
+"""Writes the results into the texts: results.md, paper.md and certificate.md in docs/, and the
+README's tables.
 
     python -m experiments.report
 
@@ -9,7 +10,7 @@ typed by hand, and neither is whether a claim holds.
 import dataclasses
 from pathlib import Path
 
-from experiments import paper
+from experiments import certificate_page, paper
 from experiments.readme import readme
 from experiments.record import section
 from experiments.registry import EXPERIMENTS
@@ -26,7 +27,7 @@ class ReportConfig:
     results: Path = Path("results")
     """Where the JSON is."""
     docs: Path = Path("docs")
-    """Where results.md and paper.md go."""
+    """Where results.md, paper.md and certificate.md go."""
     readme: Path = Path("README.md")
     """Whose tables are replaced."""
 
@@ -57,6 +58,9 @@ def texts(config: ReportConfig) -> dict[Path, str]:
         config.readme: readme(written, results["figure5"], config.readme),
         config.docs / "results.md": results_page(results),
         config.docs / "paper.md": paper.page(results),
+        config.docs / "certificate.md": certificate_page.page(
+            certificate_page.load_campaigns(config.results)
+        ),
     }
 
 

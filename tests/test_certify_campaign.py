@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments import campaign_edges, certify_campaign
+from experiments import campaign_edges, certify_campaign, grazing
 from experiments.campaign_edges import draw_shapes
 from experiments.certify_campaign import CampaignConfig, make_arms, measure_block, run
 from experiments.engine import Engine
@@ -20,6 +20,7 @@ def config(tmp_path_factory):
         random_arms=1,
         distorted=0,
         step=0.01,
+        seed=0,
         runs=folder,
         json=folder / "summary.json",
     )
@@ -33,7 +34,7 @@ def arms(config):
         patch.setattr(certify_campaign, "_HOLDERS", {"kinova_gen3": "bracelet_link"})
         patch.setattr(campaign_edges, "_SCENES", 6)
         patch.setattr(campaign_edges, "_STARTS", 4)
-        patch.setattr(campaign_edges, "_BISECTIONS", 11)
+        patch.setattr(grazing, "_BISECTIONS", 11)
         made = make_arms(config)
         patch.setattr(certify_campaign, "make_arms", lambda config: made)
         yield made
@@ -53,7 +54,7 @@ def test_a_certificate_that_bounds_motion_too_low_is_refuted(arms, monkeypatch):
     arm = arms["kinova_gen3"]
     reach = bounds.Spheres._reach
     monkeypatch.setattr(bounds.Spheres, "_reach", lambda *given: 0.2 * reach(*given))
-    monkeypatch.setattr(certify, "_FIRST_CUT", 10.0)
+    monkeypatch.setattr(certify, "FIRST_CUT", 10.0)
     bounds.spheres_of.cache_clear()
     found = measure_block(arm, (1,), 60, 0.01)
     bounds.spheres_of.cache_clear()

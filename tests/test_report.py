@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.certificate_page import load_campaigns, page
 from experiments.conclusions import conclusions
 from experiments.readme import replace_section
 from experiments.record import Finding, judge
@@ -31,6 +32,16 @@ def test_results_of_another_format_are_refused(tmp_path):
         load_results(path)
     with pytest.raises(InputError, match=r"no results .*; run python -m experiments.run_all"):
         load_results(tmp_path / "missing.json")
+
+
+def test_the_page_on_the_certificate_tells_of_what_is_refuted(tmp_path):
+    found = load_campaigns(Path("results"))
+    arms = found["certify_campaign"]["arms"]
+    assert f"0 of {arms['all']['edges']:,} edges are refuted" in page(found)
+    arms["all"]["refuted"] = 2
+    assert f"**2 of {arms['all']['edges']:,} edges are refuted.**" in page(found)
+    with pytest.raises(InputError, match=r"certify_campaign.json'; run python -m experiments"):
+        load_campaigns(tmp_path)
 
 
 def test_a_text_without_the_comments_is_refused(tmp_path):

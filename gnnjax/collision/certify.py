@@ -18,7 +18,7 @@ from gnnjax.scene.scene import Scene, make_scene
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
 _SHORTEST_PIECE = 1e-4
-_FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
+FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
 _PIECES_A_BATCH = 1024  # whose arrays fit into a core's cache
 _EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
 
@@ -117,9 +117,9 @@ def _certify_block(
         shortest = np.maximum(shortest, np.linalg.norm(slack, axis=1))
     certified = np.ones(len(starts), bool)
     whole = np.arange(len(starts)), np.zeros(len(starts)), np.ones(len(starts))
-    edge, low, high = _cut(*whole, lengths / _FIRST_CUT)
+    edge, low, high = _cut(*whole, lengths / FIRST_CUT)
     while len(edge):
-        now, later = slice(_PIECES_A_BATCH), slice(_PIECES_A_BATCH, None)
+        now, later = _next_batch(edge)
         of, near, far = edge[now], low[now], high[now]
         q = begin[:, of] + (near + far) / 2 * way[:, of]
         at = Moments(q, owner[of], of, (far - near) / 2)
@@ -142,6 +142,21 @@ def _certify_block(
         left = certified[edge]
         edge, low, high = edge[left], low[left], high[left]
     return certified
+
+
+def _next_batch(edge: np.ndarray) -> tuple[np.ndarray | slice, np.ndarray | slice]:
+    """Which pieces of edges `[N]` to look at now, and which later.
+
+    The first of each edge, which are its shortest: one of them that fails spares all others.
+    """
+    if len(edge) <= _PIECES_A_BATCH:
+        return slice(None), slice(0)
+    order = np.argsort(edge, kind="stable")
+    _, first, count = np.unique(edge[order], return_index=True, return_counts=True)
+    rank = np.empty(len(edge), int)
+    rank[order] = np.arange(len(edge)) - np.repeat(first, count)
+    now = np.sort(np.argsort(rank, kind="stable")[:_PIECES_A_BATCH])
+    return now, np.delete(np.arange(len(edge)), now)
 
 
 def _within_limits(robot: Robot, q: np.ndarray) -> np.ndarray:
