@@ -8,49 +8,56 @@ the others being too close to obstacles or swinging back and forth. Here MuJoCo 
 with contacts, motors that have limits, and errors that no controller knows: it is a tenth heavier
 than its model, has dry friction, and answers late.
 
-Paths are planned with a margin, and timed within the arm's limits of velocity, acceleration and
-torque, of which a reserve is left to the controller, along curves that are proven to keep half of
-that margin. A payload is known to timing and controller. A motion is *found* where there is a path,
-*timed* where there is a motion along it, and *suitable* where this is carried out without a
-contact, ends at rest at the goal, and no joint swings (`carried_out.py`).
+Problems are drawn until there are as many as wanted whose ends have the margin. Their paths keep
+that margin, and are timed within the arm's limits of velocity, acceleration and torque, of which a
+reserve is left to the controller, along curves that are proven to keep half of the margin. A
+payload is known to timing and controller. A motion is *found* where there is a path, *timed* where
+there is a motion along it, and *suitable* where this is carried out without a contact, ends at rest
+at the goal, and no joint swings (`carried_out.py`, where is said what an arm can *hold*).
 """
 
 import dataclasses
 import functools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.carried_out import COUNTS, summarize, told
-from experiments.cases import classical_case, own_case
-from experiments.measure import ExperimentConfig, problem_set
+from experiments.carried_out import (
+    COUNTS,
+    Conditions,
+    carry_out,
+    loaded,
+    summarize,
+)
+from experiments.measure import ExperimentConfig
 from experiments.published import REAL_ARM
+from experiments.real_arm_paths import (
+    LIMIT_S,
+    OWN,
+    PAPER,
+    RIVAL,
+    SEEDS,
+    draw_problems,
+    find_paths,
+)
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import proportion
 from experiments.style import draw_bars, label
 from experiments.tables import cell, interval, markdown
 from experiments.turns import folder_of, kept
-from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planning.load import make_planner
+from gnnjax.arm.robot import load_robot
+from gnnjax.errors import InputError
 from gnnjax.planning.query import check_queries
-from gnnjax.problems.problem import Problem
-from gnnjax.problems.shards import load_problems
-from gnnjax.scene.shapes import sphere
-from gnnjax.trajectory.execution import execute_trajectories
-from gnnjax.trajectory.limits import limits_of
 from gnnjax.trajectory.simulate import ModelErrors
-from gnnjax.trajectory.trajectory import time_paths
 
-OWN, RIVAL, PAPER = "guided", "ompl:rrt_connect@simplified", "gnn_paper"
 PLANNERS = (OWN, RIVAL, PAPER)
+_DRAWN, _MOST_TURNS = 100, 100  # problems at once, and how often
 _PAPER_ARM = "kuka_iiwa14"  # which its network was trained on
-_BESIDE = 0.001  # m, radius of the payload: inside of the link that carries it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,10 +66,10 @@ class RealArmConfig(ExperimentConfig):
 
     arms: tuple[str, ...] = ("kuka_iiwa14", "franka_panda", "kinova_gen3")
     """The arms."""
-    families: tuple[str, ...] = ("paper", "shelf")
+    families: tuple[str, ...] = ("paper", "shelf", "clutter")
     """Kinds of problems."""
-    num_problems: int = 100
-    """Problems of each kind, for each arm."""
+    num_problems: int = 334
+    """Problems of each kind, for each arm, whose ends have the margin."""
     payloads: tuple[float, ...] = (0.0, 1.0, 3.0)
     """What the last link carries, kg."""
     margin: float = 0.02
@@ -76,99 +83,87 @@ class RealArmConfig(ExperimentConfig):
     reserve: float = 0.2
     """Share of the motors' torques that motions leave to the controller."""
 
+    @property
+    def conditions(self) -> Conditions:
+        """Under which motions are timed and carried out."""
+        errors = ModelErrors(self.mass_error, self.friction, self.delay)
+        return Conditions(self.margin, self.reserve, errors)
+
+
+class Part(NamedTuple):
+    """Problems that were drawn at once, and what became of them."""
+
+    accepted: np.ndarray  # indices of those whose ends have the margin
+    rows: dict[tuple[str, float], list[dict[str, Any]]]  # by planner and payload, of these
+
 
 def measurement(config: RealArmConfig) -> Measurement:
     """Rows of planners, for each arm, kind of problems and payload."""
-    names = ("num_problems", "payloads", "margin", "mass_error", "friction", "delay", "reserve")
+    names = ("payloads", "margin", "mass_error", "friction", "delay", "reserve")
     settings = {name: getattr(config, name) for name in names}
-    return Measurement(_rows(config, settings), {"settings": settings})
+    settings |= {"planned": SEEDS, "time_limit": LIMIT_S}
+    head = {"num_problems": config.num_problems} | settings
+    return Measurement(_rows(config, settings), {"settings": head})
 
 
 def _rows(config: RealArmConfig, settings: Row) -> Iterator[Row]:
-    # All arms come with one kind of problems before any comes with the next.
-    for family in config.families:
-        for arm in (config.robot,) if config.robot else config.arms:
-            # Of the set that other experiments use, the first.
-            num = config.num_problems if config.quick else max(300, config.num_problems)
-            path = problem_set(config, arm, family=family, num_problems=num)
-            told = [settings, config.seeds[0]]
-            folder = folder_of(config.runs, f"real_arm_{path.stem}", told, path)
-            problems = load_problems(path, load_robot(arm)).take(slice(config.num_problems))
-            for planner in PLANNERS[: 3 if arm == _PAPER_ARM else 2]:
-                for row in _rows_of(config, arm, planner, path, problems.problems, folder):
-                    named = {"arm": Path(arm).stem, "family": family, "planner": planner}
-                    yield named | row
+    arms = (config.robot,) if config.robot else config.arms
+    parts: dict[tuple[str, str], list[Part]] = {
+        (arm, family): [] for arm in arms for family in config.families
+    }
+    # All arms and kinds come to their first problems before any comes to others, so that what is
+    # cut off is a whole with fewer problems.
+    for turn in range(_MOST_TURNS):
+        for (arm, family), own in parts.items():
+            if sum(len(part.accepted) for part in own) < config.num_problems:
+                told = [settings, config.seeds[0], arm, family, turn]
+                own.append(_part(config, arm, family, turn, told))
+    for (arm, family), own in parts.items():
+        places = [turn * _at_once(config) + part.accepted for turn, part in enumerate(own)]
+        chosen = np.concatenate(places)[: config.num_problems]
+        if not len(chosen):
+            raise InputError(
+                f"margin is {config.margin}, which the ends of no problem have ({arm}, {family}); "
+                "give less margin"
+            )
+        rows = {
+            key: [row for part in own for row in part.rows[key]][: len(chosen)]
+            for key in own[0].rows
+        }
+        for (planner, payload), each in rows.items():
+            named = {"arm": Path(arm).stem, "family": family, "planner": planner}
+            named |= {"payload": payload, "drawn": int(chosen[-1]) + 1}
+            solved = [any(own[i]["found"] for own in rows.values()) for i in range(len(each))]
+            yield named | {"found_by_any": sum(solved)} | summarize(each)
 
 
-def _rows_of(
-    config: RealArmConfig, arm: str, planner: str, path: Path, problems: Problem, folder: Path
-) -> Iterator[Row]:
-    """A row a payload."""
-    case = classical_case(path, arm, planner)
-    if planner == PAPER:
-        case = own_case(path, arm, planner, num_nodes=1000)
-    case = dataclasses.replace(case, margin=config.margin, seed=config.seeds[0])
-    stem = planner.replace(":", "-")
-    plans = kept(folder / f"{stem}.json", functools.partial(plan, load_robot(arm), case, problems))
-    for payload in config.payloads:
-        measure = functools.partial(carry_out, config, loaded(arm, payload), problems, plans)
-        row = summarize(kept(folder / f"{stem}_{payload:g}.json", measure))
-        line = f"{row['suitable']} of {row['accepted']} motions are suitable"
-        print(f"{folder.name}, {label(planner)}, {payload:g} kg: {line}", flush=True)
-        yield {"payload": payload} | row
+def _at_once(config: RealArmConfig) -> int:
+    """How many problems are drawn at once."""
+    return min(_DRAWN, config.num_problems)
 
 
-def plan(robot: Robot, case: EvaluateConfig, problems: Problem) -> list[dict[str, Any]]:
-    """Of each problem, whether its ends have the margin, and the path if there is one."""
-    reasons = check_queries(robot, problems, case.margin)
+def _part(config: RealArmConfig, arm: str, family: str, turn: int, told: list[Any]) -> Part:
+    """Draws problems, and carries out what is planned for those whose ends have the margin."""
+    num, name = _at_once(config), f"real_arm_{Path(arm).stem}_{family}_{turn}"
+    folder = folder_of(config.runs, name, [*told, num])
+    drawn = draw_problems(arm, family, turn * num, num)
+    reasons = check_queries(load_robot(arm), drawn, config.margin)
     accepted = np.flatnonzero([reason is None for reason in reasons])
-    plans = make_planner(robot, case).plan_batch(
-        jax.tree.map(lambda x: x[accepted], problems), seed=case.seed
-    )
-    paths: list[Any] = [None] * len(reasons)
-    for i, found in zip(accepted.tolist(), plans, strict=True):
-        paths[i] = np.asarray(found.path, float).tolist() if found.success else None
-    return [
-        {"accepted": reason is None, "path": path}
-        for reason, path in zip(reasons, paths, strict=True)
-    ]
-
-
-@functools.cache
-def loaded(arm: str, payload: float) -> Robot:
-    """The arm with a payload in its last link that adds nothing to what can collide."""
-    robot = load_robot(arm)
-    if not payload:
-        return robot
-    ball, own = sphere([0.0, 0.0, 0.0], _BESIDE), [x.name for x in robot.bodies if x.name]
-    return robot.attach(own[-1], [ball], mass=payload, allow=["world", *own])
-
-
-def carry_out(
-    config: RealArmConfig, robot: Robot, problems: Problem, plans: list[dict[str, Any]]
-) -> list[dict[str, Any]]:
-    """Times all paths and carries out their motions; a row a problem."""
-    rows: list[dict[str, Any]] = [
-        {"accepted": x["accepted"], "found": x["path"] is not None, "timed": False} for x in plans
-    ]
-    found = np.flatnonzero([row["found"] for row in rows])
-    scenes = jax.tree.map(lambda x: np.asarray(x)[found], problems.scene)
-    paths = [np.array(plans[i]["path"]) for i in found.tolist()]
-    limit = limits_of(robot).torque
-    torque = None if limit is None else (1 - config.reserve) * limit
-    motions = time_paths(robot, scenes, paths, margin=config.margin / 2, torque=torque)
-    timed = np.flatnonzero([motion.success for motion in motions])
-    executions = execute_trajectories(
-        robot,
-        jax.tree.map(lambda x: x[timed], scenes),
-        [motions[i] for i in timed.tolist()],
-        errors=ModelErrors(config.mass_error, config.friction, config.delay),
-    )
-    for i, motion in zip(found.tolist(), motions, strict=True):
-        rows[i] |= {"timed": motion.success, "reason": motion.reason}
-    for i, execution in zip(found[timed].tolist(), executions, strict=True):
-        rows[i] |= told(execution)
-    return rows
+    problems = jax.tree.map(lambda x: np.asarray(x)[accepted], drawn)
+    rows: dict[tuple[str, float], list[dict[str, Any]]] = {}
+    for planner in PLANNERS[: 3 if arm == _PAPER_ARM else 2]:
+        stem = planner.replace(":", "-")
+        plan = functools.partial(find_paths, arm, planner, problems, config.margin, config.seeds[0])
+        paths = kept(folder / f"{stem}.json", plan)
+        for payload in config.payloads:
+            measure = functools.partial(
+                carry_out, loaded(arm, payload), problems, paths, config.conditions
+            )
+            own = kept(folder / f"{stem}_{payload:g}.json", measure)
+            rows[planner, payload] = own
+            line = f"{sum(row.get('suitable', False) for row in own)} of {len(own)} suitable"
+            print(f"{name}, {label(planner)}, {payload:g} kg: {line}", flush=True)
+    return Part(accepted, rows)
 
 
 def draw(results: Row) -> Figure:
@@ -189,17 +184,18 @@ def draw(results: Row) -> Figure:
 
 
 def _together(rows: list[Row], planner: str, **where: Any) -> dict[str, Any]:
-    """Counts of a planner over all kinds of problems, and the share that is suitable."""
+    """Counts of a planner over all kinds of problems, and which share of those that are held is
+    suitable."""
     own = [
         row
         for row in rows
         if row["planner"] == planner and all(row[key] == value for key, value in where.items())
     ]
-    counts = {name: sum(row[name] for row in own) for name in COUNTS}
+    counts = {name: sum(row[name] for row in own) for name in ("accepted", *COUNTS)}
     named = {(row["family"], row["payload"]) for row in own}
     # Payloads share their problems, which are what is drawn at random.
     payloads = max(1, len({payload for _, payload in named}))
-    share = proportion(counts["suitable"] / payloads, counts["accepted"] / payloads)
+    share = proportion(counts["suitable"] / payloads, counts["held"] / payloads)
     return counts | {"share": share, "rows": named}
 
 
@@ -207,42 +203,51 @@ def table(results: Row) -> str:
     """A line an arm, kind of problems, planner and payload."""
     settings, machine = results["settings"], results["machine"]
     words = (
-        f"{settings['num_problems']} problems of each kind and arm, those whose ends have "
-        f"{1e3 * settings['margin']:g} mm to all obstacles. The arm is "
+        f"{settings['num_problems']} problems of each kind and arm whose ends have "
+        f"{1e3 * settings['margin']:g} mm to all obstacles; so many had to be drawn. Where there "
+        f"is no path, or a joint swings along it, up to {settings['planned']} seeds are tried, but "
+        f"for the paper's network; RRT-Connect has {settings['time_limit']:g} s for each. Held: the arm "
+        "can rest at both ends with its payload, without what motions leave to the controller: "
+        f"{100 * settings['reserve']:g} % of the motors' torques. The arm is "
         f"{100 * settings['mass_error']:g} % heavier than its model, has {settings['friction']:g} "
         f"N m of dry friction in each joint, and torques come {1e3 * settings['delay']:g} ms late; "
-        f"motions leave {100 * settings['reserve']:g} % of the motors' torques to the controller; "
         "controller: computed torque. Proven: no point of the arm strayed from the curve by as "
         "much as that is proven to keep from all obstacles. Errors are largest ones of a motion. "
         f"{machine['processor']}, {machine['cores']} cores, gnnjax {machine['gnnjax']}.\n"
     )
-    head = "arm,problems,planner,payload [kg],accepted,found,timed,touched,swings,not at rest"
-    columns = [*head.split(","), "proven", "suitable", "suitable of accepted, %"]
+    head = "arm,problems,planner,payload [kg],drawn,accepted,found by any,found,held,timed,touched"
+    columns = [
+        *head.split(","),
+        "swings",
+        "not at rest",
+        "proven",
+        "suitable",
+        "suitable of held, %",
+    ]
     columns += ["duration, s (mean)", "turning back (mean)", "tip error, mm (median)", "95 %"]
-    columns += ["stray, mm (95 %)", "torque of limits, % (95 %)"]
-    arms = [row["arm"] for row in results["rows"]]
-    rows = sorted(results["rows"], key=lambda row: arms.index(row["arm"]))
-    return words + "\n" + markdown(columns, [_line(row) for row in rows])
+    columns += ["stray, mm (95 %)", "largest", "torque of limits, % (95 %)"]
+    return words + "\n" + markdown(columns, [_line(row) for row in results["rows"]])
 
 
 def _line(row: Row) -> list[str]:
+    head = ("drawn", "accepted", "found_by_any", "found", "held", "timed", "touched", "swings")
     return [
         *(row["arm"], row["family"], label(row["planner"]), f"{row['payload']:g}"),
-        *(str(row[name]) for name in ("accepted", "found", "timed", "touched", "swings")),
+        *(str(row[name]) for name in head),
         str(row["timed"] - row["settled"]),
         *(str(row[name]) for name in ("proven", "suitable")),
         interval(row["suitable_share"], ".1f", 100),
         cell(row["duration"], ".2f"),
         cell(row["turns"], ".1f"),
         *(cell(row["tip_error"], ".1f", 1e3, key) for key in ("median", "p95")),
-        cell(row["stray"], ".1f", 1e3, "p95"),
+        *(cell(row["stray"], ".1f", 1e3, "p95"), f"{1e3 * row['most_stray']:.1f}"),
         cell(row["torque_use"], ".0f", 100, "p95"),
     ]
 
 
 def verdict(results: Row) -> str:
     """Whether on each arm more motions are suitable than the paper's six of ten, by the interval,
-    and at least as many as RRT-Connect's."""
+    and at least as many as RRT-Connect's, and none of them touches anything."""
     rows, findings, beside = results["rows"], [], []
     paper = REAL_ARM["gnn"]
     for arm in dict.fromkeys(row["arm"] for row in rows):
@@ -250,13 +255,23 @@ def verdict(results: Row) -> str:
         if ours["share"] is None:
             continue
         own, other = ours["share"], theirs["share"]
-        text = f"{arm}: {interval(own, '.1f', 100)} % of {ours['accepted']} motions are suitable"
+        text = (
+            f"{arm}: found {100 * ours['found'] / ours['accepted']:.1f} %, and "
+            f"{interval(own, '.1f', 100)} % of {ours['held']} motions are suitable that start and "
+            "end where the arm can hold its payload"
+        )
         findings.append(Finding(own["low"] > paper["suitable"], text))
         if ours["rows"] == theirs["rows"] and other is not None:  # of the same problems
             text = f"{arm}: RRT-Connect's, simplified, {interval(other, '.1f', 100)} %"
             findings.append(Finding(own["mean"] >= other["mean"], text))
         else:
             beside.append(f"RRT-Connect is not measured on all that guided is on {arm}.")
+    timed, touched = (sum(row[name] for row in rows) for name in ("timed", "touched"))
+    findings.append(
+        Finding(not touched, f"of {timed} motions {touched or 'none'} touched anything")
+    )
+    most = max((row["most_stray"] for row in rows), default=0.0)
+    beside.append(f"No point of an arm strayed from its curve by more than {1e3 * most:.1f} mm.")
     network = _together(rows, PAPER)
     if network["share"] is not None:
         beside += [
