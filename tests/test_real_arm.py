@@ -83,8 +83,7 @@ def test_the_quick_form_writes_results_and_goes_on(arm, tmp_path, monkeypatch):
 
 def test_draws_that_never_have_the_margin_end(arm, tmp_path, monkeypatch):
     monkeypatch.setattr(real_arm, "draw_problems", lambda *of: problems_of())
-    monkeypatch.setattr(real_arm, "_MOST_TURNS", 2)
-    config = RealArmConfig(quick=True, robot=str(arm), runs=tmp_path, margin=0.7)
+    config = RealArmConfig(quick=True, robot=str(arm), runs=tmp_path, margin=0.7, draws=2)
     with pytest.raises(InputError, match=r"margin is 0\.7, which the ends of no problem have"):
         run(EXPERIMENTS["real_arm"], config)
 
