@@ -26,24 +26,10 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.carried_out import (
-    COUNTS,
-    Conditions,
-    carry_out,
-    loaded,
-    summarize,
-)
+from experiments.carried_out import COUNTS, Conditions, carry_out, loaded, summarize
 from experiments.measure import ExperimentConfig
 from experiments.published import REAL_ARM
-from experiments.real_arm_paths import (
-    LIMIT_S,
-    OWN,
-    PAPER,
-    RIVAL,
-    SEEDS,
-    draw_problems,
-    find_paths,
-)
+from experiments.real_arm_paths import LIMIT_S, OWN, PAPER, RIVAL, SEEDS, draw_problems, find_paths
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import proportion
