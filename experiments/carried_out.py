@@ -135,12 +135,14 @@ def summarize(rows: list[dict[str, Any]]) -> Row:
     """Counts of problems, the shares of them that were found and, of those that are held, whose
     motion is suitable, and what was measured of motions."""
     counts = {name: sum(bool(row.get(name)) for row in rows) for name in COUNTS}
+    both = sum(row["held"] and bool(row.get("suitable")) for row in rows)
     timed = [row for row in rows if row["timed"]]
     measured = {name: np.array([row[name] for row in timed]) for name in _MEASURED}
     return {
         "accepted": len(rows),
         **counts,
-        "suitable_share": proportion(counts["suitable"], counts["held"]),
+        "suitable_held": both,
+        "suitable_share": proportion(both, counts["held"]),
         "most_stray": float(measured["stray"].max(initial=0.0)),
         **{name: describe(each) if timed else None for name, each in measured.items()},
     }

@@ -39,6 +39,7 @@ from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_queries
+from gnnjax.problems.problem import Problem
 from gnnjax.trajectory.simulate import ModelErrors
 
 PLANNERS = (OWN, RIVAL, PAPER)
@@ -134,19 +135,26 @@ def _part(config: RealArmConfig, arm: str, family: str, turn: int, told: list[An
     """Draws problems, and carries out what is planned for those whose ends have the margin."""
     num, name = _at_once(config), f"real_arm_{Path(arm).stem}_{family}_{turn}"
     folder = folder_of(config.runs, name, [*told, num])
-    drawn = draw_problems(arm, family, turn * num, num)
-    reasons = check_queries(load_robot(arm), drawn, config.margin)
-    accepted = np.flatnonzero([reason is None for reason in reasons])
-    problems = jax.tree.map(lambda x: np.asarray(x)[accepted], drawn)
+
+    @functools.cache
+    def drawn() -> tuple[list[int], Problem]:
+        """The problems, unless all is there that was measured of them."""
+        problems = draw_problems(arm, family, turn * num, num)
+        reasons = check_queries(load_robot(arm), problems, config.margin)
+        good = np.flatnonzero([reason is None for reason in reasons])
+        return good.tolist(), jax.tree.map(lambda x: np.asarray(x)[good], problems)
+
+    def carried(paths: list[Any], payload: float) -> list[dict[str, Any]]:
+        return carry_out(loaded(arm, payload), drawn()[1], paths, config.conditions)
+
+    accepted = np.array(kept(folder / "accepted.json", lambda: drawn()[0]), int)
     rows: dict[tuple[str, float], list[dict[str, Any]]] = {}
     for planner in PLANNERS[: 3 if arm == _PAPER_ARM else 2]:
-        stem = planner.replace(":", "-")
-        plan = functools.partial(find_paths, arm, planner, problems, config.margin, config.seeds[0])
-        paths = kept(folder / f"{stem}.json", plan)
+        stem, seed = planner.replace(":", "-"), config.seeds[0]
+        find = functools.partial(find_paths, arm, planner, margin=config.margin, seed=seed)
+        paths = kept(folder / f"{stem}.json", lambda find=find: find(drawn()[1]))
         for payload in config.payloads:
-            measure = functools.partial(
-                carry_out, loaded(arm, payload), problems, paths, config.conditions
-            )
+            measure = functools.partial(carried, paths, payload)
             own = kept(folder / f"{stem}_{payload:g}.json", measure)
             rows[planner, payload] = own
             line = f"{sum(row.get('suitable', False) for row in own)} of {len(own)} suitable"
@@ -179,11 +187,14 @@ def _together(rows: list[Row], planner: str, **where: Any) -> dict[str, Any]:
         for row in rows
         if row["planner"] == planner and all(row[key] == value for key, value in where.items())
     ]
-    counts = {name: sum(row[name] for row in own) for name in ("accepted", "found_by_any", *COUNTS)}
+    counts = {
+        name: sum(row[name] for row in own)
+        for name in ("accepted", "found_by_any", "suitable_held", *COUNTS)
+    }
     named = {(row["family"], row["payload"]) for row in own}
     # Payloads share their problems, which are what is drawn at random.
     payloads = max(1, len({payload for _, payload in named}))
-    share = proportion(counts["suitable"] / payloads, counts["held"] / payloads)
+    share = proportion(counts["suitable_held"] / payloads, counts["held"] / payloads)
     return counts | {"share": share, "rows": named}
 
 

@@ -144,7 +144,7 @@ def some_unsolved(results):
 
 def motions_that_swing(results):
     for row in of_planner(results, "guided"):
-        row["suitable"] = row["held"] // 2
+        row["suitable_held"] = row["held"] // 2
 
 
 def poses_that_are_not_reached(results):
