@@ -17,34 +17,37 @@ at the goal, and no joint swings (`carried_out.py`, where is said what an arm ca
 """
 
 import dataclasses
-import functools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.carried_out import COUNTS, Conditions, carry_out, loaded, summarize
+from experiments.carried_out import COUNTS, Conditions, summarize
 from experiments.measure import ExperimentConfig
 from experiments.published import REAL_ARM
-from experiments.real_arm_paths import LIMIT_S, OWN, PAPER, RIVAL, SEEDS, draw_problems, find_paths
+from experiments.real_arm_parts import (
+    LIMIT_S,
+    OWN,
+    PAPER,
+    PLANNERS,
+    RIVAL,
+    SEEDS,
+    Part,
+    forget,
+    measure_part,
+)
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import proportion
 from experiments.style import draw_bars, label
 from experiments.tables import cell, interval, markdown
-from experiments.turns import folder_of, kept
-from gnnjax.arm.robot import load_robot
+from experiments.turns import folder_of
 from gnnjax.errors import InputError
-from gnnjax.planning.query import check_queries
-from gnnjax.problems.problem import Problem
 from gnnjax.trajectory.simulate import ModelErrors
 
-PLANNERS = (OWN, RIVAL, PAPER)
 _DRAWN = 100  # problems at once
-_PAPER_ARM = "kuka_iiwa14"  # which its network was trained on
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,35 +82,38 @@ class RealArmConfig(ExperimentConfig):
         return Conditions(self.margin, self.reserve, errors)
 
 
-class Part(NamedTuple):
-    """Problems that were drawn at once, and what became of them."""
-
-    accepted: np.ndarray  # indices of those whose ends have the margin
-    rows: dict[tuple[str, float], list[dict[str, Any]]]  # by planner and payload, of these
-
-
 def measurement(config: RealArmConfig) -> Measurement:
     """Rows of planners, for each arm, kind of problems and payload."""
     names = ("payloads", "margin", "mass_error", "friction", "delay", "reserve")
     settings = {name: getattr(config, name) for name in names}
     settings |= {"planned": SEEDS, "time_limit": LIMIT_S}
-    head = {"num_problems": config.num_problems} | settings
+    head = {"num_problems": config.num_problems, "draws": config.draws} | settings
     return Measurement(_rows(config, settings), {"settings": head})
 
 
 def _rows(config: RealArmConfig, settings: Row) -> Iterator[Row]:
-    arms = (config.robot,) if config.robot else config.arms
-    parts: dict[tuple[str, str], list[Part]] = {
-        (arm, family): [] for arm in arms for family in config.families
-    }
-    # All arms and kinds come to their first problems before any comes to others, so that what is
-    # cut off is a whole with fewer problems.
-    for turn in range(config.draws):
-        for (arm, family), own in parts.items():
-            if sum(len(part.accepted) for part in own) < config.num_problems:
-                told = [settings, config.seeds[0], arm, family, turn]
-                own.append(_part(config, arm, family, turn, told))
-    for (arm, family), own in parts.items():
+    for arm in (config.robot,) if config.robot else config.arms:
+        parts: dict[str, list[Part]] = {family: [] for family in config.families}
+        for turn in range(config.draws):
+            for family, own in parts.items():
+                if sum(len(part.accepted) for part in own) < config.num_problems:
+                    own.append(_part(config, settings, arm, family, turn))
+        yield from _rows_of(config, arm, parts)
+        # What is compiled for three arms takes more pieces of memory than a process may have.
+        forget()
+
+
+def _part(config: RealArmConfig, settings: Row, arm: str, family: str, turn: int) -> Part:
+    num, seed = _at_once(config), config.seeds[0]
+    told = [settings, seed, arm, family, turn, num]
+    folder = folder_of(config.runs, f"real_arm_{Path(arm).stem}_{family}_{turn}", told)
+    drawn = arm, family, turn * num, num
+    return measure_part(folder, *drawn, config.payloads, config.conditions, seed)
+
+
+def _rows_of(config: RealArmConfig, arm: str, parts: dict[str, list[Part]]) -> Iterator[Row]:
+    """Rows of an arm."""
+    for family, own in parts.items():
         places = [turn * _at_once(config) + part.accepted for turn, part in enumerate(own)]
         chosen = np.concatenate(places)[: config.num_problems]
         if not len(chosen):
@@ -129,37 +135,6 @@ def _rows(config: RealArmConfig, settings: Row) -> Iterator[Row]:
 def _at_once(config: RealArmConfig) -> int:
     """How many problems are drawn at once."""
     return min(_DRAWN, config.num_problems)
-
-
-def _part(config: RealArmConfig, arm: str, family: str, turn: int, told: list[Any]) -> Part:
-    """Draws problems, and carries out what is planned for those whose ends have the margin."""
-    num, name = _at_once(config), f"real_arm_{Path(arm).stem}_{family}_{turn}"
-    folder = folder_of(config.runs, name, [*told, num])
-
-    @functools.cache
-    def drawn() -> tuple[list[int], Problem]:
-        """The problems, unless all is there that was measured of them."""
-        problems = draw_problems(arm, family, turn * num, num)
-        reasons = check_queries(load_robot(arm), problems, config.margin)
-        good = np.flatnonzero([reason is None for reason in reasons])
-        return good.tolist(), jax.tree.map(lambda x: np.asarray(x)[good], problems)
-
-    def carried(paths: list[Any], payload: float) -> list[dict[str, Any]]:
-        return carry_out(loaded(arm, payload), drawn()[1], paths, config.conditions)
-
-    accepted = np.array(kept(folder / "accepted.json", lambda: drawn()[0]), int)
-    rows: dict[tuple[str, float], list[dict[str, Any]]] = {}
-    for planner in PLANNERS[: 3 if arm == _PAPER_ARM else 2]:
-        stem, seed = planner.replace(":", "-"), config.seeds[0]
-        find = functools.partial(find_paths, arm, planner, margin=config.margin, seed=seed)
-        paths = kept(folder / f"{stem}.json", lambda find=find: find(drawn()[1]))
-        for payload in config.payloads:
-            measure = functools.partial(carried, paths, payload)
-            own = kept(folder / f"{stem}_{payload:g}.json", measure)
-            rows[planner, payload] = own
-            line = f"{sum(row.get('suitable', False) for row in own)} of {len(own)} suitable"
-            print(f"{name}, {label(planner)}, {payload:g} kg: {line}", flush=True)
-    return Part(accepted, rows)
 
 
 def draw(results: Row) -> Figure:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from experiments import real_arm, real_arm_paths
+from experiments import real_arm_parts
 from experiments.carried_out import Conditions, carry_out, summarize, turnings
 from experiments.real_arm import RealArmConfig
-from experiments.real_arm_paths import find_paths
+from experiments.real_arm_parts import find_paths
 from experiments.record import run
 from experiments.registry import EXPERIMENTS
 from experiments.statistics import proportion
@@ -58,8 +58,8 @@ def test_the_quick_form_writes_results_and_goes_on(arm, tmp_path, monkeypatch):
         planned.append(case.planner)
         return load_planner(arm, "lazysp", num_nodes=30, margin=case.margin)
 
-    monkeypatch.setattr(real_arm_paths, "make_planner", stand_in)
-    monkeypatch.setattr(real_arm, "draw_problems", lambda *of: problems_of())
+    monkeypatch.setattr(real_arm_parts, "make_planner", stand_in)
+    monkeypatch.setattr(real_arm_parts, "draw_problems", lambda *of: problems_of())
     experiment = EXPERIMENTS["real_arm"]
     config = RealArmConfig(quick=True, robot=str(arm), runs=tmp_path, results=tmp_path / "out")
     quick = experiment._replace(quick={**experiment.quick, "payloads": (0.5,)})
@@ -82,7 +82,7 @@ def test_the_quick_form_writes_results_and_goes_on(arm, tmp_path, monkeypatch):
 
 
 def test_draws_that_never_have_the_margin_end(arm, tmp_path, monkeypatch):
-    monkeypatch.setattr(real_arm, "draw_problems", lambda *of: problems_of())
+    monkeypatch.setattr(real_arm_parts, "draw_problems", lambda *of: problems_of())
     config = RealArmConfig(quick=True, robot=str(arm), runs=tmp_path, margin=0.7, draws=2)
     with pytest.raises(InputError, match=r"margin is 0\.7, which the ends of no problem have"):
         run(EXPERIMENTS["real_arm"], config)
@@ -105,7 +105,7 @@ def test_the_path_that_turns_back_least_is_taken_and_swings_are_planned_anew(mon
             times = {"planning_time_s": 0.0, "total_time_s": 0.0, "roadmaps": 1}
             return [make_plan(path, "none", 3, **costs, **times) for path in paths]
 
-    monkeypatch.setattr(real_arm_paths, "_planner", lambda *of: Planner())
+    monkeypatch.setattr(real_arm_parts, "_planner", lambda *of: Planner())
     problems = Problem(*np.zeros((2, 4, 3), np.float32), make_scene([], []))
     problems = problems._replace(scene=jax.tree.map(lambda x: np.stack([x] * 4), problems.scene))
     paths = find_paths("limited", "guided", problems, 0.0, 0)
