@@ -15,6 +15,7 @@ from experiments.cases import classical_case, own_case
 from experiments.style import label
 from experiments.turns import kept
 from gnnjax.arm.robot import load_robot
+from gnnjax.devices import cache_compilations
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.query import QueryPlanner, check_queries
 from gnnjax.problems.labelled import generate_labelled, problem_keys, to_problem_set
@@ -85,6 +86,7 @@ def measure_part(
 
 def draw_problems(arm: str, family: str, first: int, num: int) -> Problem:
     """Some of a kind's test problems, of which other experiments use the first."""
+    cache_compilations()
     robot = load_robot(arm)
     draw = generate_labelled(robot, 0, family=family)
     keys = problem_keys(0, "test", first, num, family)
