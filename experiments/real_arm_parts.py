@@ -25,7 +25,7 @@ OWN, RIVAL, PAPER = "guided", "ompl:rrt_connect@simplified", "gnn_paper"
 PLANNERS = (OWN, RIVAL, PAPER)
 SEEDS = 4  # as many times is planned where there is no path, or a joint swings along it
 LIMIT_S = 2.0  # of RRT-Connect, for each seed
-_PAPER_ARM = "kuka_iiwa14"  # which the paper's network was trained on
+PAPER_ARM = "kuka_iiwa14"  # which the paper's network was trained on
 
 
 class Part(NamedTuple):
@@ -71,7 +71,7 @@ def measure_part(
 
     accepted = np.array(kept(folder / "accepted.json", lambda: drawn()[0]), int)
     rows: dict[tuple[str, float], list[dict[str, Any]]] = {}
-    for planner in PLANNERS[: 3 if arm == _PAPER_ARM else 2]:
+    for planner in PLANNERS[: 3 if arm == PAPER_ARM else 2]:
         stem = planner.replace(":", "-")
         find = functools.partial(find_paths, arm, planner, margin=conditions.margin, seed=seed)
         paths = kept(folder / f"{stem}.json", lambda find=find: find(drawn()[1]))
