@@ -89,7 +89,10 @@ def measurement(config: RealArmConfig) -> Measurement:
     names = ("payloads", "margin", "mass_error", "friction", "delay", "reserve")
     settings = {name: getattr(config, name) for name in names}
     settings |= {"planned": SEEDS, "time_limit": LIMIT_S}
-    head = {"num_problems": config.num_problems, "draws": config.draws} | settings
+    head = {
+        "num_problems": config.num_problems,
+        "drawn": config.draws * _at_once(config),
+    } | settings
     return Measurement(_rows(config, settings), {"settings": head})
 
 
@@ -186,7 +189,7 @@ def table(results: Row) -> str:
     settings, machine = results["settings"], results["machine"]
     words = (
         f"Up to {settings['num_problems']} problems of each kind and arm whose ends have "
-        f"{1e3 * settings['margin']:g} mm to all obstacles, of up to {100 * settings['draws']} "
+        f"{1e3 * settings['margin']:g} mm to all obstacles, of up to {settings['drawn']} "
         "that are drawn; found by any: by one of the planners at least. Where there "
         f"is no path, or a joint swings along it, up to {settings['planned']} seeds are tried, but "
         f"for the paper's network; RRT-Connect has {settings['time_limit']:g} s for each. Held: "
