@@ -84,6 +84,17 @@ def test_paths_join_start_and_goal_and_hold(robot, walled, planners, method, che
     assert plan.total_time_s > plan.planning_time_s > 0
 
 
+def test_ends_are_taken_from_who_made_sure_of_them(robot, walled, monkeypatch):
+    """By a finer test than the kernels, which may refuse what is just free."""
+    planner = classical(robot, "ompl:rrt_connect")
+    ends = {walled.start[0].tobytes(), walled.goal[0].tobytes()}
+    checks = (lambda q: q.tobytes() not in ends), (lambda start, end: True)
+    monkeypatch.setattr(planner, "_checks_maker", lambda *of: lambda scene, ledger: checks)
+    (plan,) = planner.plan_batch(walled)
+    assert plan.success
+    np.testing.assert_array_equal(plan.path[[0, -1]], [walled.start[0], walled.goal[0]])
+
+
 @pytest.mark.parametrize("method", PLANNERS[:3])
 def test_a_seed_repeats_paths_and_counts(walled, planners, method):
     """But for PRM, which looks for a path in a thread of its own while the roadmap grows."""

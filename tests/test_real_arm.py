@@ -7,17 +7,20 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from experiments import real_arm
-from experiments.carried_out import summarize, turnings
-from experiments.real_arm import RealArmConfig, carry_out
+from experiments import real_arm_parts
+from experiments.carried_out import Conditions, carry_out, summarize, turnings
+from experiments.real_arm import RealArmConfig
+from experiments.real_arm_parts import find_paths
 from experiments.record import run
 from experiments.registry import EXPERIMENTS
 from experiments.statistics import proportion
 from gnnjax.arm.robot import load_robot
+from gnnjax.errors import InputError
 from gnnjax.planning.load import load_planner
-from gnnjax.problems.file import save_problems
-from gnnjax.problems.problem import Problem, ProblemSet
+from gnnjax.planning.query import make_plan
+from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
+from gnnjax.trajectory.simulate import ModelErrors
 from tests.conftest import TINY
 
 MOTORS = "".join(f'<motor joint="{j}" forcerange="-40 40"/>' for j in "abc")
@@ -55,14 +58,8 @@ def test_the_quick_form_writes_results_and_goes_on(arm, tmp_path, monkeypatch):
         planned.append(case.planner)
         return load_planner(arm, "lazysp", num_nodes=30, margin=case.margin)
 
-    def saved(config, robot, *, family, num_problems):
-        assert num_problems == 3
-        path = tmp_path / f"{family}.npz"
-        save_problems(path, ProblemSet(load_robot(arm).name, problems_of()))
-        return path
-
-    monkeypatch.setattr(real_arm, "make_planner", stand_in)
-    monkeypatch.setattr(real_arm, "problem_set", saved)
+    monkeypatch.setattr(real_arm_parts, "make_planner", stand_in)
+    monkeypatch.setattr(real_arm_parts, "draw_problems", lambda *of: problems_of())
     experiment = EXPERIMENTS["real_arm"]
     config = RealArmConfig(quick=True, robot=str(arm), runs=tmp_path, results=tmp_path / "out")
     quick = experiment._replace(quick={**experiment.quick, "payloads": (0.5,)})
@@ -71,27 +68,70 @@ def test_the_quick_form_writes_results_and_goes_on(arm, tmp_path, monkeypatch):
     assert results == run(quick, config)
     assert len(planned) == 2
     for row in results["rows"]:
-        assert (row["num_problems"], row["accepted"], row["found"], row["timed"]) == (3, 2, 2, 2)
-        assert (row["payload"], row["suitable"], row["touched"]) == (0.5, 2, 0)
-    assert "limited | paper | RRT-Connect, simplified | 0.5 | 2 | 2" in experiment.table(results)
+        # Of the second draw of three, the first alone.
+        assert (row["drawn"], row["accepted"], row["found"], row["held"]) == (4, 3, 3, 3)
+        assert (row["payload"], row["suitable"], row["touched"]) == (0.5, 3, 0)
+    assert "limited | paper | RRT-Connect, simplified | 0.5 | 4 | 3 | 3 | 3" in experiment.table(
+        results
+    )
     assert "Holds in part: limited: RRT-Connect's" in experiment.verdict(results)
-    kept = json.loads(next(tmp_path.rglob("guided_0.5.json")).read_text())
-    assert [row["accepted"] for row in kept] == [True, True, False]
+    assert "of 6 motions none touched anything" in experiment.verdict(results)
+    kept = [json.loads(path.read_text()) for path in tmp_path.rglob("guided_0.5.json")]
+    assert list(map(len, kept)) == [2, 2]
     assert (tmp_path / "out" / "real_arm.png").exists()
+
+
+def test_draws_that_never_have_the_margin_end(arm, tmp_path, monkeypatch):
+    monkeypatch.setattr(real_arm_parts, "draw_problems", lambda *of: problems_of())
+    config = RealArmConfig(quick=True, robot=str(arm), runs=tmp_path, margin=0.7, draws=2)
+    with pytest.raises(InputError, match=r"margin is 0\.7, which the ends of no problem have"):
+        run(EXPERIMENTS["real_arm"], config)
+
+
+def test_the_path_that_turns_back_least_is_taken_and_swings_are_planned_anew(monkeypatch):
+    swinging = [np.array([[x, 0.0, 0.0]]) for x in (0, 1, 0, 1, 0)]
+    found = {  # by seed, of the problems that are left
+        0: [None, swinging, swinging[:2], None],
+        1: [None, swinging[:3], swinging],
+        2: [None, None],
+        3: [None, swinging],
+    }
+
+    class Planner:
+        def plan_batch(self, problems, *, seed):
+            paths = [None if x is None else np.concatenate(x) for x in found[seed]]
+            assert len(problems.start) == len(paths)
+            costs = dict.fromkeys(["sampling_checks", "search_checks", "edge_checks"], 0)
+            times = {"planning_time_s": 0.0, "total_time_s": 0.0, "roadmaps": 1}
+            return [make_plan(path, "none", 3, **costs, **times) for path in paths]
+
+    monkeypatch.setattr(real_arm_parts, "_planner", lambda *of: Planner())
+    problems = Problem(*np.zeros((2, 4, 3), np.float32), make_scene([], []))
+    problems = problems._replace(scene=jax.tree.map(lambda x: np.stack([x] * 4), problems.scene))
+    paths = find_paths("limited", "guided", problems, 0.0, 0)
+    assert [path and len(path) for path in paths] == [None, 3, 2, 5]
+    paths = find_paths("limited", "gnn_paper", problems, 0.0, 0)
+    assert [path and len(path) for path in paths] == [None, 5, 2, None]
 
 
 def test_motions_that_touch_are_not_suitable_and_paths_in_collision_are_not_timed(arm):
     robot, problems = load_robot(arm), problems_of()
     scenes = problems.scene._replace(centers=np.full_like(problems.scene.centers, 3.0))
     path = [[-1.0, 0, 0], [1.0, 0, 0]]
-    config = RealArmConfig(mass_error=0.0, friction=0.0, delay=0.0)
-    plans = [{"accepted": True, "path": x} for x in (path, None, path)]
+    conditions = Conditions(0.02, 0.2, ModelErrors())
     scenes.centers[2, 0] = [0.68, 0.15, 0.0]
-    rows = carry_out(config, robot, problems._replace(scene=scenes), plans)
+    problems = problems._replace(scene=scenes)
+    rows = carry_out(robot, problems, [path, None, path], conditions)
     assert [row["timed"] for row in rows] == [True, False, False]
+    assert all(row["held"] for row in rows)
     assert "not certified" in rows[2]["reason"]
     assert rows[0]["suitable"]
     assert summarize(rows)["suitable_share"]["mean"] == pytest.approx(1 / 3)
+    # A hundredth of the motors' torques does not lift the arm.
+    weak = carry_out(robot, problems, [path, None, path], conditions._replace(reserve=0.99))
+    assert not any(row["held"] or row["timed"] for row in weak)
+    assert "to hold the arm at the start" in weak[0]["reason"]
+    assert summarize(weak)["suitable_share"] is None
 
 
 def test_turnings_are_counted_and_small_movements_are_none():

@@ -26,7 +26,7 @@ from gnnjax.trajectory.simulate import (
     placed,
     simulate,
 )
-from gnnjax.trajectory.trajectory import Setpoints, Trajectory, sample_trajectory
+from gnnjax.trajectory.trajectory import Setpoints, Trajectory, movement, sample_times
 
 _HOLD = 0.5  # s at the goal, before it is told whether the arm rests there
 _AT_REST = 0.02  # rad or m, and rad/s or m/s, of each joint
@@ -163,19 +163,21 @@ def _torque_limit(robot: Robot, torque: Amounts | None) -> np.ndarray:
 def _at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
     """A motion at every step of the simulation, held at its goal in the end."""
     if isinstance(trajectory, Trajectory):
-        trajectory = sample_trajectory(robot, trajectory, DT)
-    given = trajectory
-    last = float(given.times[-1])
+        given = sample_times(trajectory, DT)
+        positions, velocities, _ = movement(trajectory, given)
+    else:
+        given, positions, velocities, *_ = trajectory
+    last = float(given[-1])
     if not last <= _LONGEST:
         raise InputError(f"the motion takes {last:g} s; up to {_LONGEST:g} s can be simulated")
     times = np.arange(int(np.ceil(last / DT - 1e-9)) + round(_HOLD / DT)) * DT
     moving = times < last
     q, velocity, acceleration = (np.zeros((len(times), robot.num_dof)) for _ in range(3))
-    q[:] = given.positions[-1]
+    q[:] = positions[-1]
     if moving.any():
         from scipy.interpolate import CubicHermiteSpline  # a third of a second, for this alone
 
-        curve = CubicHermiteSpline(given.times, given.positions, given.velocities)
+        curve = CubicHermiteSpline(given, positions, velocities)
         for number, part in enumerate((q, velocity, acceleration)):
             part[moving] = curve(times[moving], number)
     torques = inverse_dynamics_by_mujoco(robot, q, velocity, acceleration)

@@ -123,7 +123,7 @@ def simulate(
         delay: s, rounded to steps.
         most_error: rad or m, of a joint, beyond which a motion has diverged.
     """
-    steps = [len(each.times) for each in points]
+    steps = np.array([len(each.times) for each in points])
     wanted = _joined([each.positions for each in points])
     law = Law(
         before=np.stack([each.before for each in laws]),
@@ -157,8 +157,9 @@ def simulate(
             off = np.abs(wanted[alive, min(end, total - 1)] - q[alive, end])
             good = (off <= most_error).all(axis=1)  # what is no number is not
             done[alive[~good]] = end
-            alive, state = alive[good], after[good, -1]
-            if not good.all():
+            goes_on = good & (end < steps[alive])
+            alive, state = alive[goes_on], after[goes_on, -1]
+            if not goes_on.all():
                 running = [models[i] for i in alive.tolist()]
             if not len(alive):
                 break

@@ -146,15 +146,32 @@ def sample_trajectory(robot: Robot, trajectory: Trajectory, dt: float) -> Setpoi
     Raises:
         InputError: no motion, or a step that is none.
     """
+    check_step(dt)
+    return states(robot, trajectory, sample_times(trajectory, dt))
+
+
+def sample_times(trajectory: Trajectory, dt: float) -> np.ndarray:
+    """Times `[T]` every `dt` seconds of a motion, and its end.
+
+    Raises:
+        InputError: no motion.
+    """
     if not trajectory.success:
         raise InputError(f"there is no motion to sample: {trajectory.reason}")
-    check_step(dt)
     count = int(np.ceil(trajectory.duration / dt - 1e-9))
-    return states(robot, trajectory, np.append(np.arange(count) * dt, trajectory.duration))
+    return np.append(np.arange(count) * dt, trajectory.duration)
 
 
 def states(robot: Robot, trajectory: Trajectory, times: np.ndarray) -> Setpoints:
     """States of a motion at times `[T]` from 0 to its duration."""
+    moved = movement(trajectory, times)
+    return Setpoints(times, *moved, inverse_dynamics_by_mujoco(robot, *moved))
+
+
+def movement(
+    trajectory: Trajectory, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and accelerations `[T D]` of a motion at such times."""
     curve, profile = trajectory.curve, trajectory.profile
     if profile is None:
         at, speed, push = _places_at(curve, trajectory.timing, times)
@@ -164,10 +181,9 @@ def states(robot: Robot, trajectory: Trajectory, times: np.ndarray) -> Setpoints
     speed = np.maximum(speed, 0.0)[:, None]
     place = places(curve, at)
     positions = np.asarray(place.q)
-    velocities = place.slope * speed
-    accelerations = place.slope * push[:, None] + place.bend * speed**2
-    torques = inverse_dynamics_by_mujoco(robot, positions, velocities, accelerations)
-    return Setpoints(times, positions, velocities, accelerations, torques)
+    velocities = np.asarray(place.slope) * speed
+    accelerations = np.asarray(place.slope * push[:, None] + place.bend * speed**2)
+    return positions, velocities, accelerations
 
 
 def _places_at(
