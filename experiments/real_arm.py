@@ -89,10 +89,8 @@ def measurement(config: RealArmConfig) -> Measurement:
     names = ("payloads", "margin", "mass_error", "friction", "delay", "reserve")
     settings = {name: getattr(config, name) for name in names}
     settings |= {"planned": SEEDS, "time_limit": LIMIT_S}
-    head = {
-        "num_problems": config.num_problems,
-        "drawn": config.draws * _at_once(config),
-    } | settings
+    head = {"num_problems": config.num_problems, "draws": config.draws}
+    head |= {"drawn": config.draws * _at_once(config)} | settings
     return Measurement(_rows(config, settings), {"settings": head})
 
 
@@ -126,13 +124,15 @@ def _rows_of(config: RealArmConfig, arm: str, parts: dict[str, list[Part]]) -> I
                 f"margin is {config.margin}, which the ends of no problem have ({arm}, {family}); "
                 "give less margin"
             )
+        enough = len(chosen) == config.num_problems
+        drawn = int(chosen[-1]) + 1 if enough else len(own) * _at_once(config)
         rows = {
             key: [row for part in own for row in part.rows[key]][: len(chosen)]
             for key in own[0].rows
         }
         for (planner, payload), each in rows.items():
             named = {"arm": Path(arm).stem, "family": family, "planner": planner}
-            named |= {"payload": payload, "drawn": int(chosen[-1]) + 1}
+            named |= {"payload": payload, "drawn": drawn}
             solved = [any(own[i]["found"] for own in rows.values()) for i in range(len(each))]
             yield named | {"found_by_any": sum(solved)} | summarize(each)
 
@@ -190,8 +190,9 @@ def table(results: Row) -> str:
     words = (
         f"Up to {settings['num_problems']} problems of each kind and arm whose ends have "
         f"{1e3 * settings['margin']:g} mm to all obstacles, of up to {settings['drawn']} "
-        "that are drawn; found by any: by one of the planners at least. Where there "
-        f"is no path, or a joint swings along it, up to {settings['planned']} seeds are tried, but "
+        f"that are drawn (`--draws {settings['draws']}`); found by any: by one "
+        "of the planners at least. Where there is no path, or a joint swings along it, up to "
+        f"{settings['planned']} seeds are tried, but "
         f"for the paper's network; RRT-Connect has {settings['time_limit']:g} s for each. Held: "
         "the arm can rest at both ends with its payload, without what motions leave to the "
         f"controller: {100 * settings['reserve']:g} % of the motors' torques. The arm is "
@@ -202,11 +203,14 @@ def table(results: Row) -> str:
         f"{machine['processor']}, {machine['cores']} cores, gnnjax {machine['gnnjax']}.\n"
     )
     head = "arm,problems,planner,payload [kg],drawn,accepted,found by any,found,held,timed,touched"
-    columns = [
-        *head.split(","),
-        *"swings,not at rest,proven,suitable,suitable of held [%]".split(","),
+    columns = [*head.split(","), "swings", "not at rest", "proven", "suitable"]
+    columns += [
+        "suitable of held, %",
+        "duration, s (mean)",
+        "turning back (mean)",
+        "tip error, mm (median)",
+        "95 %",
     ]
-    columns += ["duration, s (mean)", "turning back (mean)", "tip error, mm (median)", "95 %"]
     columns += ["stray, mm (95 %)", "largest", "torque of limits, % (95 %)"]
     return words + "\n" + markdown(columns, [_line(row) for row in results["rows"]])
 
@@ -243,7 +247,8 @@ def verdict(results: Row) -> str:
                 f"{arm}, {listing([f'{kg:g}' for kg in light])} kg: of "
                 f"{ours['accepted'] // len(light)} problems {found / ours['accepted']:.1f} % are "
                 f"found, {found / max(1, ours['found_by_any']):.1f} % of what any planner finds, "
-                f"and {interval(own, '.1f', 100)} % are suitable"
+                f"and {interval(own, '.1f', 100)} % are suitable, "
+                f"{100 * ours['suitable'] / max(1, ours['found']):.1f} % of those found"
             )
             findings.append(Finding(own["low"] > paper["suitable"], text))
             if ours["rows"] == theirs["rows"] and other is not None:  # of the same problems
@@ -267,8 +272,8 @@ def verdict(results: Row) -> str:
     network = _together(rows, PAPER, PAPER_ARM, _carried(rows, PAPER_ARM))
     if network["share"] is not None:
         beside += [
-            f"Of the paper's network, found {network['found']} of {network['accepted']}, "
-            f"{interval(network['share'], '.1f', 100)} % are suitable; it states "
+            f"The paper's network finds {100 * network['found'] / network['accepted']:.1f} %, and "
+            f"{interval(network['share'], '.1f', 100)} % are suitable; the paper states "
             f"{100 * paper['found']:.0f} % found and {100 * paper['suitable']:.0f} % suitable."
         ]
     return judge(*findings, beside=beside)
