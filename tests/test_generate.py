@@ -130,7 +130,7 @@ def test_problems_without_labels_cannot_be_trained_on(tiny_path, tmp_path):
         # Nothing is left to draw, and still it is not the set that was asked for.
         ({"num_problems": 5, "seed": 7}, "was generated with seed 0, not 7"),
         ({"num_problems": 3}, "holds 5 problems, more than 3"),
-        ({"seed": -1}, "seed is -1; choose 0 to"),
+        ({"seed": -1}, "seed is -1; choose an integer from 0 to"),
     ],
 )
 def test_bad_settings_are_refused(labelled, change, message):

@@ -163,7 +163,7 @@ def test_quick_forms_write_results_and_go_on(tiny_path, tmp_path, monkeypatch, n
 
     monkeypatch.setattr(f"experiments.{name}.own_planner", stand_in)
     # Scenes of all families to fit and train in have tests of their own.
-    monkeypatch.setattr("gnnjax.train_motion.BOX_FAMILIES", BOX_FAMILIES[-1:])
+    monkeypatch.setattr("gnnjax.training.motions.BOX_FAMILIES", BOX_FAMILIES[-1:])
     experiment = EXPERIMENTS[name]
     folders = {key: tmp_path / key for key in ("data", "runs", "results")}
     config = experiment.config(quick=True, robot=str(tiny_path), **folders)
