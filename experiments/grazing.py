@@ -13,6 +13,7 @@ from experiments.campaign_edges import Edges, directions
 from experiments.judge import Arm
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import certify
+from gnnjax.collision.gaps import members
 from gnnjax.scene.scene import Scene
 
 _BISECTIONS = 14
@@ -34,8 +35,7 @@ class Pieces(NamedTuple):
         """In as many as the certificate makes of them, which looks at each by itself."""
         parts = np.linalg.norm(self.ends - self.starts, axis=1) / certify.FIRST_CUT
         parts = np.maximum(1, np.ceil(parts)).astype(int)
-        row = np.repeat(np.arange(len(parts)), parts)
-        number = np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts)
+        row, number = members(np.zeros(len(parts), int), parts)
         low, high = number / parts[row], (number + 1) / parts[row]
         way = (self.ends - self.starts)[row]
         begin, end = (self.starts[row] + x[:, None] * way for x in (low, high))

@@ -152,9 +152,9 @@ def _next_batch(edge: np.ndarray) -> tuple[np.ndarray | slice, np.ndarray | slic
     if len(edge) <= _PIECES_A_BATCH:
         return slice(None), slice(0)
     order = np.argsort(edge, kind="stable")
-    _, first, count = np.unique(edge[order], return_index=True, return_counts=True)
+    _, count = np.unique(edge, return_counts=True)
     rank = np.empty(len(edge), int)
-    rank[order] = np.arange(len(edge)) - np.repeat(first, count)
+    _, rank[order] = members(np.zeros(len(count), int), count)
     now = np.sort(np.argsort(rank, kind="stable")[:_PIECES_A_BATCH])
     return now, np.delete(np.arange(len(edge)), now)
 

@@ -140,13 +140,13 @@ def grow(
         if len(rows):
             goal = first.nodes[rows, tips]
             near = second.nearest(rows, goal[:, None])[:, 0]
-            tip = _extend(progress, tester, placed, ids, second, rows, near, goal, _LONGEST[1])
-            meet = tip >= 0
-            meet[meet] = (second.nodes[rows[meet], tip[meet]] == goal[meet]).all(axis=1)
+            others = _extend(progress, tester, placed, ids, second, rows, near, goal, _LONGEST[1])
+            meet = others >= 0
+            meet[meet] = (second.nodes[rows[meet], others[meet]] == goal[meet]).all(axis=1)
             paths = []
-            met = (x[meet].tolist() for x in (rows, tips, tip))
-            for row, one, other in zip(*met, strict=True):
-                way = first.way(row, one)[::-1] + second.way(row, other)[1:]
+            met = (x[meet].tolist() for x in (rows, tips, others))
+            for row, tip, other in zip(*met, strict=True):
+                way = first.way(row, tip)[::-1] + second.way(row, other)[1:]
                 paths.append(np.stack(way if first is trees[0] else way[::-1]))
             progress.certify(ids[rows[meet]], paths)
         progress.spend(ids[open_rows], begin)
@@ -168,8 +168,8 @@ def _likely(
     length = np.linalg.norm(ways, axis=-1, keepdims=True)
     ends = starts + ways * np.minimum(1, _LONGEST[0] * _STEP / np.maximum(length, _STEP))
     price = outlook.prices(rows, starts, ends.astype(np.float32))
-    groups = np.split(price, np.cumsum(_CHOICES)[:-1], axis=1)
     first = np.cumsum(_CHOICES) - _CHOICES
+    groups = np.split(price, first[1:], axis=1)
     best = first + np.stack([group.argmin(axis=1) for group in groups], axis=1)
     own = np.arange(len(rows))[:, None]
     row = np.repeat(rows, best.shape[1])
