@@ -205,22 +205,24 @@ def _separate(
         direction: in which to look first.
     """
     lost = _ROUNDING * (size + radii)
-    touching = radii + lost + _TOUCHING
 
     def one_round(state: _State) -> _State:
         n = _unit(state.nearest)
         turns = jnp.any(state.undecided).astype(jnp.int32)  # one, or there would be no round
         point = support(n, turns)
-        gaps = dot(n, point) - radii - lost
-        better = gaps > state.gaps  # never so for NaN
+        found = dot(n, point) - radii - lost
+        # Whoever is done with stays as it is, whatever the others still need.
+        better = state.undecided & (found > state.gaps)  # never so for NaN
+        gaps = jnp.where(better, found, state.gaps)
         nearest, points, inside = nearest_point(point, state.points, turns)
-        undecided = state.undecided & ~(gaps > 0.0) & ~inside
+        # No direction shows more than what is nearest leaves.
+        improvable = jnp.sqrt(dot(nearest, nearest)) > gaps + radii + lost + _TOUCHING
         return _State(
             state.rounds + 1,
-            undecided & (dot(nearest, nearest) > touching**2),
+            state.undecided & ~(gaps > 0.0) & ~inside & improvable,
             nearest,
             points,
-            jnp.where(better, gaps, state.gaps),
+            gaps,
             [jnp.where(better, x, y) for x, y in zip(n, state.directions, strict=True)],
         )
 
