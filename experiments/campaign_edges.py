@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 
 from experiments.judge import ROOM, Arm
-from gnnjax.collision.certify import certify_edges, clearances
+from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.clearances import clearances
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import Cloud
 from gnnjax.scene.numbers import unit_quats

@@ -30,7 +30,7 @@ from experiments.judge import NEAR, Arm, Judge, Scan
 from experiments.random_arm import BASE, distorted_arm, random_arm
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import is_self_free
+from gnnjax.collision.clearances import is_self_free
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import atomic_write, check_target
 from gnnjax.measure.machine import describe_machine

@@ -31,7 +31,8 @@ from experiments.grazing import Pieces, push
 from experiments.judge import Arm, Judge
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_edges, clearances
+from gnnjax.collision.certify import certify_edges
+from gnnjax.collision.clearances import clearances
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import check_target
 from gnnjax.measure.machine import describe_machine

@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.certify import clearances
+from gnnjax.collision.clearances import clearances
 from gnnjax.errors import run_command
 from gnnjax.files import atomic_write
 from gnnjax.guide.field import field_guide, reach_grid

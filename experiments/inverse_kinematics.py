@@ -29,7 +29,7 @@ from experiments.statistics import proportion
 from experiments.tables import markdown
 from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.collision.certify import is_self_free
+from gnnjax.collision.clearances import is_self_free
 from gnnjax.errors import InputError
 from gnnjax.measure.statistics import describe
 from gnnjax.pose.goal import PoseGoal, tool_frame

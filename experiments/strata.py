@@ -6,8 +6,8 @@ import jax
 import numpy as np
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import path_clearance
 from gnnjax.collision.checker import EDGE_RESOLUTION
+from gnnjax.collision.clearances import path_clearance
 from gnnjax.problems.shards import load_problems
 
 LINES = ("line free", "line blocked")

@@ -12,14 +12,9 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.baselines.ledger import Ledger, mujoco_checks
-from gnnjax.collision.certify import (
-    base_clear,
-    certify_edges,
-    certify_path,
-    clearances,
-    known_obstacles,
-)
+from gnnjax.collision.certify import certify_edges, certify_path, known_obstacles
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import base_clear, clearances
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.errors import InputError

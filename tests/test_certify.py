@@ -10,14 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.bounds import Spheres, spheres_of
-from gnnjax.collision.certify import (
-    certify_edges,
-    certify_path,
-    check_scene,
-    clearances,
-    configuration_clearance,
-    path_clearance,
-)
+from gnnjax.collision.certify import certify_edges, certify_path, check_scene
+from gnnjax.collision.clearances import clearances, configuration_clearance, path_clearance
 from gnnjax.collision.gaps import Moments, gaps_of
 from gnnjax.collision.margins import proven_clearance
 from gnnjax.collision.obstacles import obstacles_of

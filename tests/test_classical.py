@@ -14,8 +14,9 @@ from fine_scan import collides_anywhere, random_scene
 from gnnjax.arm.robot import load_robot
 from gnnjax.baselines.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.baselines.ompl import ClassicalPlanner
-from gnnjax.collision.certify import certify_path, configuration_clearance
+from gnnjax.collision.certify import certify_path
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import configuration_clearance
 from gnnjax.digest import digest
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate

@@ -12,8 +12,9 @@ from scipy.spatial.distance import cdist
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import base_clear, certify_edges, certify_path, clearances
+from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import base_clear, clearances
 from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.collision.points import leaves_of

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import configuration_clearance
+from gnnjax.collision.clearances import configuration_clearance
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
 from tests.conftest import TINY

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from experiments.draw_families import TITLES
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import configuration_clearance
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import configuration_clearance
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.collision.obstacles import scene_faults
 from gnnjax.errors import InputError

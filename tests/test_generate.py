@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 import gnnjax.generate
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import configuration_clearance
+from gnnjax.collision.clearances import configuration_clearance
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.problems.labelled import from_problem_set

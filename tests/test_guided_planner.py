@@ -16,8 +16,9 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_edges, certify_path, configuration_clearance
+from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import configuration_clearance
 from gnnjax.errors import InputError
 from gnnjax.guide.motion import MotionNetwork, motion_guide
 from gnnjax.plan import PlanConfig

@@ -15,8 +15,8 @@ from experiments.record import run
 from experiments.registry import EXPERIMENTS
 from experiments.results import load_results
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import configuration_clearance
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import configuration_clearance
 from gnnjax.errors import InputError
 from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import check_options

@@ -12,8 +12,9 @@ import pytest
 
 from gnnjax.arm.blocks import box_cover, cylinder_cover
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_path, clearances
+from gnnjax.collision.certify import certify_path
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import clearances
 from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.planning.query import check_queries

@@ -7,8 +7,9 @@ import pytest
 
 from experiments.engine import Engine
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_edges, clearances
+from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import clearances
 from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.mujoco_world import deepest_contact

@@ -8,8 +8,9 @@ import pytest
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_edges, configuration_clearance
+from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import configuration_clearance
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.guide.view import choose_points

@@ -10,8 +10,9 @@ import pytest
 
 from experiments.engine import Engine
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_edges, clearances
+from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import clearances
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.paper.occupancy import occupancy_grid

@@ -13,7 +13,8 @@ import pytest
 from flax import nnx
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_path, configuration_clearance
+from gnnjax.collision.certify import certify_path
+from gnnjax.collision.clearances import configuration_clearance
 from gnnjax.collision.margins import proven_clearance
 from gnnjax.errors import InputError
 from gnnjax.paper.network import GuidanceNetwork

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import clearances
+from gnnjax.collision.clearances import clearances
 from gnnjax.errors import InputError
 from gnnjax.pose.chain import chain_of, kinematics
 from gnnjax.pose.goal import PoseGoal, tool_frame

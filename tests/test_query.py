@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import base_clear
+from gnnjax.collision.clearances import base_clear
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_queries, check_query

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import clearances
+from gnnjax.collision.clearances import clearances
 from gnnjax.collision.margins import proven_clearance
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_path, clearances
+from gnnjax.collision.certify import certify_path
 from gnnjax.collision.checker import make_checker
+from gnnjax.collision.clearances import clearances
 from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions

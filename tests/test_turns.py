@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.certify import certify_edges, certify_path, clearances
+from gnnjax.collision.certify import certify_edges, certify_path
+from gnnjax.collision.clearances import clearances
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import default_radius

@@ -9,17 +9,17 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
-from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of, members
+from gnnjax.collision.gaps import Moments, gaps_of, members
 from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of, scene_faults
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.allowed import check_allowed, check_arm
-from gnnjax.scene.scene import Scene, make_scene
+from gnnjax.scene.scene import Scene
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
 _SHORTEST_PIECE = 1e-4
 FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
-_PIECES_A_BATCH = 1024  # whose arrays fit into a core's cache
+PIECES_A_BATCH = 1024  # whose arrays fit into a core's cache
 _EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
 
 
@@ -45,7 +45,7 @@ def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
             checked before, a scene must be finite, its boxes have a size, and its quaternions be
             normalized.
     """
-    path = _configurations(robot, "path", path)
+    path = configurations_of(robot, "path", path)
     if not len(path):
         raise InputError("the path holds no configuration; give at least one")
     last = max(1, len(path) - 1)  # a single configuration is its own end
@@ -77,8 +77,11 @@ def certify_edges(
     Raises:
         InputError: arrays of other shapes, or a scene with boxes that are none.
     """
-    starts, ends = _configurations(robot, "starts", starts), _configurations(robot, "ends", ends)
-    wide = None if slack is None else _configurations(robot, "slack", slack)
+    starts, ends = (
+        configurations_of(robot, "starts", starts),
+        configurations_of(robot, "ends", ends),
+    )
+    wide = None if slack is None else configurations_of(robot, "slack", slack)
     if wide is not None and (len(wide) != len(starts) or not (wide >= 0).all()):
         raise InputError(f"slack {brief(slack)} for {len(starts)} edges; give lengths, a row each")
     if len(starts) != len(ends):
@@ -117,7 +120,7 @@ def _certify_block(
         shortest = np.maximum(shortest, np.linalg.norm(slack, axis=1))
     certified = np.ones(len(starts), bool)
     whole = np.arange(len(starts)), np.zeros(len(starts)), np.ones(len(starts))
-    edge, low, high = _cut(*whole, lengths / FIRST_CUT)
+    edge, low, high = cut(*whole, lengths / FIRST_CUT)
     while len(edge):
         now, later = _next_batch(edge)
         of, near, far = edge[now], low[now], high[now]
@@ -134,7 +137,7 @@ def _certify_block(
         certified[of[(need >= 1) & ((far - near) * lengths[of] < shortest[of])]] = False
         split = (need >= 1) & certified[of]
         # As many parts as would do if the clearance were the same all along.
-        parts = _cut(of[split], near[split], far[split], np.clip(need[split] * 1.2, 2, 8))
+        parts = cut(of[split], near[split], far[split], np.clip(need[split] * 1.2, 2, 8))
         edge, low, high = (
             np.concatenate([new, old[later]])
             for new, old in zip(parts, (edge, low, high), strict=True)
@@ -149,13 +152,13 @@ def _next_batch(edge: np.ndarray) -> tuple[np.ndarray | slice, np.ndarray | slic
 
     The first of each edge, which are its shortest: one of them that fails spares all others.
     """
-    if len(edge) <= _PIECES_A_BATCH:
+    if len(edge) <= PIECES_A_BATCH:
         return slice(None), slice(0)
     order = np.argsort(edge, kind="stable")
     _, count = np.unique(edge, return_counts=True)
     rank = np.empty(len(edge), int)
     _, rank[order] = members(np.zeros(len(count), int), count)
-    now = np.sort(np.argsort(rank, kind="stable")[:_PIECES_A_BATCH])
+    now = np.sort(np.argsort(rank, kind="stable")[:PIECES_A_BATCH])
     return now, np.delete(np.arange(len(edge)), now)
 
 
@@ -182,7 +185,7 @@ def known_obstacles(robot: Robot, scene: Scene | Obstacles) -> Obstacles:
     return obstacles_of(scene)
 
 
-def _configurations(robot: Robot, name: str, values: ArrayLike) -> np.ndarray:
+def configurations_of(robot: Robot, name: str, values: ArrayLike) -> np.ndarray:
     """Configurations `[N, D]` in double precision, or what is wrong with them."""
     try:
         array = np.asarray(values, float)
@@ -196,7 +199,7 @@ def _configurations(robot: Robot, name: str, values: ArrayLike) -> np.ndarray:
     return array
 
 
-def _cut(
+def cut(
     edge: np.ndarray, low: np.ndarray, high: np.ndarray, parts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cuts pieces into at least `parts` equal pieces, in order; neighbours share their ends."""
@@ -211,63 +214,6 @@ def _cut(
         return np.where(fraction == 1, high[row], point)
 
     return edge[row], at(step), at(step + 1)
-
-
-def clearances(
-    robot: Robot,
-    scene: Scene | Obstacles,
-    q: np.ndarray,
-    owner: np.ndarray | None = None,
-    most: float = np.inf,
-) -> np.ndarray:
-    """Distances [m] of the arm at q `[B, D]` to obstacles and itself, `[B]`, at least.
-
-    Infinite where there is nothing, NaN where q is not finite. They are those of the spheres around
-    the arm's parts; but where these do not tell whether the distance is more than `most`, the parts
-    are looked at. With `most=0` the distance is positive just where the arm is free.
-
-    Args:
-        robot: the arm.
-        scene: one scene, or P scenes `[P, M, ...]`; or their `known_obstacles`.
-        q: configurations.
-        owner: `[B]`, in which of P scenes each is; None for one scene.
-        most: what is farther away than this [m] may count as if it were nothing.
-    """
-    q = _configurations(robot, "q", q)
-    obstacles = known_obstacles(robot, scene)
-    owner = owners_of(obstacles, owner, len(q))
-    body = spheres_of(robot)
-    rates = body.same_rates(most)
-    found = np.where(np.isfinite(q).all(axis=1), np.inf, np.nan)
-    finite = np.flatnonzero(found == np.inf)
-    for first in range(0, len(finite), _PIECES_A_BATCH):
-        rows = finite[first : first + _PIECES_A_BATCH]
-        at = Moments(q[rows].T.copy(), owner[rows], np.zeros(len(rows), int), np.ones(len(rows)))
-        gaps = gaps_of(body, obstacles, at, rates)
-        np.minimum.at(found, rows[gaps.moment], gaps.gap)
-    return found
-
-
-def configuration_clearance(robot: Robot, scene: Scene, q: np.ndarray) -> float:
-    """`clearances` of one configuration `[D]` in one scene."""
-    return float(clearances(robot, scene, np.asarray(q)[None])[0])
-
-
-def is_self_free(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Whether the arm at configurations `[B, D]` is clear of itself, `[B]`."""
-    return clearances(robot, make_scene([], []), q, most=0.0) > 0
-
-
-def base_clear(robot: Robot, scene: Scene | Obstacles) -> np.ndarray:
-    """Whether the arm's base is clear of each box, `[M]`, or `[P, M]` in P scenes.
-
-    The base is what no joint moves, which certificates and clearances leave out. True where no box
-    is. Capsules count as chains of spheres here, too. One more tells of the cloud, where scenes
-    have one.
-    """
-    obstacles = known_obstacles(robot, scene)
-    clear = clear_of_base(spheres_of(robot), obstacles).T
-    return clear if obstacles.is_batch else clear[0]
 
 
 def check_scene(scene: Scene) -> None:
@@ -285,20 +231,3 @@ def check_scene(scene: Scene) -> None:
     for fault in scene_faults(scene):
         if fault is not None:
             raise InputError(fault)
-
-
-def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: float) -> float:
-    """Least distance [m] of the arm to boxes and itself along a path, seen at samples.
-
-    Args:
-        robot: the arm.
-        scene: one scene.
-        path: `[L, D]` configurations, two or more, joined by straight lines.
-        resolution: largest distance of neighbouring samples, configuration units.
-    """
-    path = _configurations(robot, "path", path)
-    starts, ends = path[:-1], path[1:]
-    whole = np.arange(len(starts)), np.zeros(len(starts)), np.ones(len(starts))
-    edge, low, _ = _cut(*whole, np.linalg.norm(ends - starts, axis=1) / resolution)
-    samples = starts[edge] + low[:, None] * (ends - starts)[edge]
-    return float(clearances(robot, scene, np.concatenate([samples, path[-1:]])).min())

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import base_clear, check_scene, clearances
+from gnnjax.collision.certify import check_scene
+from gnnjax.collision.clearances import base_clear, clearances
 from gnnjax.collision.obstacles import Obstacles, scene_faults
 from gnnjax.errors import InputError, as_typed, one_line
 from gnnjax.problems.problem import Problem

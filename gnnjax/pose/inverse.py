@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import clearances
+from gnnjax.collision.clearances import clearances
 from gnnjax.devices import cache_compilations, map_first, run_where_called
 from gnnjax.errors import InputError, brief, check_seed
 from gnnjax.pose.chain import chain_of

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import is_self_free
+from gnnjax.collision.clearances import is_self_free
 from gnnjax.errors import InputError
 from gnnjax.kept import keep
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, connect, default_radius, node_bucket
