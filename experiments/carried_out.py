@@ -17,10 +17,10 @@ import numpy as np
 from experiments.results import Row
 from experiments.statistics import proportion
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.torques import torques_at_rest
 from gnnjax.measure.statistics import describe
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.shapes import sphere
-from gnnjax.trajectory.dynamics import inverse_dynamics_by_mujoco
 from gnnjax.trajectory.execution import Execution, execute_trajectories
 from gnnjax.trajectory.limits import limits_of
 from gnnjax.trajectory.simulate import ModelErrors
@@ -58,10 +58,8 @@ def carry_out(
     torque = None if limit is None else (1 - conditions.reserve) * limit
     held = np.ones(len(paths), bool)
     if torque is not None:
-        for q in (np.asarray(problems.start, float), np.asarray(problems.goal, float)):
-            still = np.zeros_like(q)
-            needed = np.abs(inverse_dynamics_by_mujoco(robot, q, still, still))
-            held &= (needed <= torque).all(axis=1)
+        for q in (problems.start, problems.goal):
+            held &= (np.abs(torques_at_rest(robot, np.asarray(q))) <= torque).all(axis=1)
     rows: list[dict[str, Any]] = [
         {"found": path is not None, "held": good, "timed": False}
         for path, good in zip(paths, held.tolist(), strict=True)
@@ -132,8 +130,8 @@ _MEASURED = ("turns", "duration", "max_error", "tip_error", "stray", "torque_use
 
 
 def summarize(rows: list[dict[str, Any]]) -> Row:
-    """Counts of problems, the shares of them that were found and, of those that are held, whose
-    motion is suitable, and what was measured of motions."""
+    """Counts of problems, also of those that were planned again, the shares of them that were found
+    and, of those that are held, whose motion is suitable, and what was measured of motions."""
     counts = {name: sum(bool(row.get(name)) for row in rows) for name in COUNTS}
     both = sum(row["held"] and bool(row.get("suitable")) for row in rows)
     timed = [row for row in rows if row["timed"]]
@@ -141,6 +139,7 @@ def summarize(rows: list[dict[str, Any]]) -> Row:
     return {
         "accepted": len(rows),
         **counts,
+        "again": sum(row.get("again", False) for row in rows),
         "suitable_held": both,
         "suitable_share": proportion(both, counts["held"]),
         "most_stray": float(measured["stray"].max(initial=0.0)),

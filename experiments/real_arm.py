@@ -11,9 +11,11 @@ than its model, has dry friction, and answers late.
 Problems are drawn until there are as many as wanted whose ends have the margin. Their paths keep
 that margin, and are timed within the arm's limits of velocity, acceleration and torque, of which a
 reserve is left to the controller, along curves that are proven to keep half of the margin. A
-payload is known to timing and controller. A motion is *found* where there is a path, *timed* where
-there is a motion along it, and *suitable* where this is carried out without a contact, ends at rest
-at the goal, and no joint swings (`carried_out.py`, where is said what an arm can *hold*).
+payload is known to timing and controller. All planners find their paths without it first; where a
+path leads through what the arm cannot hold, they are told of the payload, and of torques, and plan
+again. A motion is *found* where there is a path, *timed* where there is a motion along it, and
+*suitable* where this is carried out without a contact, ends at rest at the goal, and no joint
+swings (`carried_out.py`, where is said what an arm can *hold*).
 """
 
 import dataclasses
@@ -88,7 +90,7 @@ def measurement(config: RealArmConfig) -> Measurement:
     """Rows of planners, for each arm, kind of problems and payload."""
     names = ("payloads", "margin", "mass_error", "friction", "delay", "reserve")
     settings = {name: getattr(config, name) for name in names}
-    settings |= {"planned": SEEDS, "time_limit": LIMIT_S}
+    settings |= {"planned": SEEDS, "time_limit": LIMIT_S, "rest_share": 1 - config.reserve}
     head = {"num_problems": config.num_problems, "draws": config.draws}
     head |= {"drawn": config.draws * _at_once(config)} | settings
     return Measurement(_rows(config, settings), {"settings": head})
@@ -195,7 +197,8 @@ def table(results: Row) -> str:
         f"{settings['planned']} seeds are tried, but "
         f"for the paper's network; RRT-Connect has {settings['time_limit']:g} s for each. Held: "
         "the arm can rest at both ends with its payload, without what motions leave to the "
-        f"controller: {100 * settings['reserve']:g} % of the motors' torques. The arm is "
+        f"controller: {100 * settings['reserve']:g} % of the motors' torques. {_again(results)}The "
+        "arm is "
         f"{100 * settings['mass_error']:g} % heavier than its model, has {settings['friction']:g} "
         f"N m of dry friction in each joint, and torques come {1e3 * settings['delay']:g} ms late; "
         "controller: computed torque. Proven: no point of the arm strayed from the curve by as "
@@ -213,6 +216,20 @@ def table(results: Row) -> str:
     ]
     columns += ["stray, mm (95 %)", "largest", "torque of limits, % (95 %)"]
     return words + "\n" + markdown(columns, [_line(row) for row in results["rows"]])
+
+
+def _again(results: Row) -> str:
+    """How often planners had to be told of the payload, by results that tell it."""
+    if "rest_share" not in results["settings"]:
+        return ""
+    number, share = (
+        sum(row["again"] for row in results["rows"]),
+        results["settings"]["rest_share"],
+    )
+    return (
+        f"Of {number} paths that lead through what the arm cannot hold, planners were told to rest "
+        f"within {100 * share:g} % of the torques, and planned again (`at_rest_within`). "
+    )
 
 
 def _line(row: Row) -> list[str]:

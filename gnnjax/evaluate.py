@@ -62,6 +62,8 @@ class EvaluateConfig(PlannerOptions):
     """Shipped robot, or path of an MJCF."""
     attach: Path | None = None
     """JSON file with what the arm holds, as for gnnjax.plan."""
+    rest_share: float | None = None
+    """Share of the motors' torques that may hold the arm at rest, likewise."""
     num_problems: int | None = None
     """Only the first so many problems."""
     batch_size: int = 1
@@ -162,7 +164,9 @@ def _check_processes(config: EvaluateConfig) -> None:
 
 def _arm(config: EvaluateConfig) -> Robot:
     robot = load_robot(config.robot)
-    return robot if config.attach is None else attach_from_json(robot, config.attach)
+    if config.attach is not None:
+        robot = attach_from_json(robot, config.attach)
+    return robot if config.rest_share is None else robot.at_rest_within(config.rest_share)
 
 
 # What results share that a picture compares.

@@ -65,6 +65,8 @@ class GenerateConfig:
     """Shipped robot, or path of an MJCF."""
     attach: Path | None = None
     """JSON file with what the arm holds, as for gnnjax.plan."""
+    rest_share: float | None = None
+    """Share of the motors' torques that may hold the arm at rest, likewise."""
     num_problems: int | None = None
     """Problems; by default 3,000 for train, 100 for validation and 300 for test."""
     num_nodes: int | None = None
@@ -86,6 +88,8 @@ def generate(config: GenerateConfig) -> Path:
     robot = load_robot(config.robot)
     if config.attach is not None:
         robot = attach_from_json(robot, config.attach)
+    if config.rest_share is not None:
+        robot = robot.at_rest_within(config.rest_share)
     num = SPLITS[config.split][1] if config.num_problems is None else config.num_problems
     nodes = (0 if config.split == "test" else 200) if config.num_nodes is None else config.num_nodes
     if num < 1 or config.shard_size < 1:
@@ -109,6 +113,8 @@ def generate(config: GenerateConfig) -> Path:
         "shard_size": config.shard_size,
         "checker": config.checker,
     }
+    if config.rest_share is not None:  # which sets from before there was one do not tell
+        settings["rest_share"] = config.rest_share
     ours = origin(robot.name, config.seed, settings)
     place = config.cluster.place()
     with contextlib.ExitStack() as held:

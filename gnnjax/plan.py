@@ -44,7 +44,7 @@ def main(config: PlanConfig) -> int:
     """Plans, prints a summary and writes the files; returns 1 where there is no path."""
     # All that can be refused is refused before planning, which may take a minute.
     check_target(config.out)
-    robot, start, goal, scene = read_query(config, read_robot(config))
+    robot, start, goal, scene = read_query(config, read_robot(config, config.torque))
     moves = config.trajectory is not None or config.video is not None
     if config.trajectory is not None:
         check_trajectory_file(config.trajectory)

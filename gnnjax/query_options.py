@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.torques import Amounts
 from gnnjax.errors import InputError
 from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
 from gnnjax.problems.moveit import query_from_moveit
@@ -43,14 +44,21 @@ class QueryOptions:
     attach: Path | None = None
     """JSON file with what the arm holds: {"body": NAME, "boxes": [...]}, lists as in a scene, in
     the frame of that body; "mass" (kg) and "allow" (bodies that it may touch) if need be."""
+    rest_share: float | None = None
+    """Share of the motors' torques, above 0, up to 1, that may hold the arm at rest, with what it
+    holds: where it takes more, nothing is planned. Motions want some to move; none by default."""
     seed: int = 0
     """Seed of the roadmaps."""
 
 
-def read_robot(options: QueryOptions) -> Robot:
-    """The arm, with what it holds."""
+def read_robot(options: QueryOptions, torque: Amounts | None = None) -> Robot:
+    """The arm, with what it holds, and the share of torques that may hold it: of those of its
+    model, or of `torque`."""
     robot = load_robot(options.robot)
-    return robot if options.attach is None else attach_from_json(robot, options.attach)
+    if options.attach is not None:
+        robot = attach_from_json(robot, options.attach)
+    share = options.rest_share
+    return robot if share is None else robot.at_rest_within(share, torque=torque)
 
 
 def read_query(

@@ -66,7 +66,7 @@ def open_page(config: ViewConfig):
 
 def _read(config: ViewConfig) -> tuple[Robot, Query, PoseGoal]:
     """The arm, the query, and a pose of the hand whose frame, free axes and tolerance count."""
-    robot, start, goal, scene = read_query(config, read_robot(config), edited=True)
+    robot, start, goal, scene = read_query(config, read_robot(config, config.torque), edited=True)
     pose = PoseGoal((0, 0, 0), IDENTITY_QUAT, *of_pose(config))
     start = _shown("start", robot, start)
     if "goal_pose" in goal:

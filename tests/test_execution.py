@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
+from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.errors import InputError
 from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.batches import stack_scenes
@@ -13,7 +14,6 @@ from gnnjax.scene.mujoco_world import obstacles
 from gnnjax.scene.scene import make_scene, scene_from_shapes
 from gnnjax.scene.shapes import box, sphere
 from gnnjax.trajectory.control import control, inertias
-from gnnjax.trajectory.dynamics import inverse_dynamics_by_mujoco
 from gnnjax.trajectory.execution import (
     execute_trajectories,
     execute_trajectory,

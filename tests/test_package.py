@@ -32,8 +32,8 @@ def test_the_table_of_contents_is_complete():
 ORDER = """
 interruption notice errors arguments per_object files devices clock digest surroundings kept
 roll_call cluster
-arm.parts arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks arm.covers
-arm.contacts arm.robot arm.kinematics
+arm.parts arm.bodies arm.hulls arm.joints arm.mjcf arm.urdf arm.reading arm.fit arm.blocks
+arm.covers arm.contacts arm.robot arm.kinematics arm.torques
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
 scene.scene scene.batches scene.allowed scene.surfaces scene.octomap scene.units scene.scene_file
 scene.geometry scene.field scene.mujoco_world
@@ -72,6 +72,7 @@ view __main__
 """.split()
 # Imported up the list, inside of functions: by name, when somebody asks for it.
 LAZY = {
+    ("arm.robot", "arm.torques"),
     ("arm.robot", "scene.holding"),
     ("planning.load", "training.weights"),
     ("planning.load", "paper"),

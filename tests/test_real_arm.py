@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 from experiments import real_arm_parts
 from experiments.carried_out import Conditions, carry_out, summarize, turnings
 from experiments.real_arm import RealArmConfig
-from experiments.real_arm_parts import find_paths
+from experiments.real_arm_parts import find_paths, measure_part
 from experiments.record import run
 from experiments.registry import EXPERIMENTS
 from experiments.statistics import proportion
@@ -81,6 +81,31 @@ def test_the_quick_form_writes_results_and_goes_on(arm, tmp_path, monkeypatch):
     assert (tmp_path / "out" / "real_arm.png").exists()
 
 
+def test_paths_that_the_arm_cannot_hold_are_planned_again(arm, tmp_path, monkeypatch):
+    planned = []
+
+    def stand_in(robot, case):
+        planned.append(robot.rest_limit)
+        return load_planner(robot, "lazysp", num_nodes=60, margin=case.margin)
+
+    monkeypatch.setattr(real_arm_parts, "PLANNERS", ("guided",))
+    monkeypatch.setattr(real_arm_parts, "make_planner", stand_in)
+    scenes = [make_scene([[-0.6, 0.0, 0.0]], [[0.05] * 3])] * 2
+    # The straight line leads the first one through 4.4 N m in its second joint, of which it has 4.
+    starts = np.array([[0, -1.2, 0], [0.5, -1.5, 0]], np.float32)
+    goals = np.array([[0, 1.2, 0], [-0.5, -1.5, 0]], np.float32)
+    problems = Problem(starts, goals, jax.tree.map(lambda *x: np.stack(x), *scenes))
+    monkeypatch.setattr(real_arm_parts, "draw_problems", lambda *of: problems)
+    conditions = Conditions(0.02, 0.9, ModelErrors())
+    part = measure_part(tmp_path, str(arm), "paper", 0, 2, (0.0,), conditions, 0)
+    (rows,) = part.rows.values()
+    assert [row["timed"] for row in rows] == [True, True]
+    assert [row.get("again", False) for row in rows] == [True, False]
+    assert planned[0] is None
+    np.testing.assert_allclose(planned[1], [4.0] * 3)
+    assert summarize(rows)["again"] == 1
+
+
 def test_draws_that_never_have_the_margin_end(arm, tmp_path, monkeypatch):
     monkeypatch.setattr(real_arm_parts, "draw_problems", lambda *of: problems_of())
     config = RealArmConfig(quick=True, robot=str(arm), runs=tmp_path, margin=0.7, draws=2)
@@ -108,9 +133,9 @@ def test_the_path_that_turns_back_least_is_taken_and_swings_are_planned_anew(mon
     monkeypatch.setattr(real_arm_parts, "_planner", lambda *of: Planner())
     problems = Problem(*np.zeros((2, 4, 3), np.float32), make_scene([], []))
     problems = problems._replace(scene=jax.tree.map(lambda x: np.stack([x] * 4), problems.scene))
-    paths = find_paths("limited", "guided", problems, 0.0, 0)
+    paths = find_paths(None, "guided", problems, 0.0, 0)
     assert [path and len(path) for path in paths] == [None, 3, 2, 5]
-    paths = find_paths("limited", "gnn_paper", problems, 0.0, 0)
+    paths = find_paths(None, "gnn_paper", problems, 0.0, 0)
     assert [path and len(path) for path in paths] == [None, 5, 2, None]
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
+from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.collision.clearances import clearances
 from gnnjax.collision.margins import proven_clearance
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
 from gnnjax.trajectory.curve import distinct, edges_of, make_curve, places, size_of
-from gnnjax.trajectory.dynamics import inverse_dynamics_by_mujoco
 from gnnjax.trajectory.limits import Limits, limits_of
 from gnnjax.trajectory.trajectory import sample_trajectory, states, time_path, time_paths
 from tests.conftest import TINY

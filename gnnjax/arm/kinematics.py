@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from gnnjax.arm.robot import Body, Joint, Robot
+from gnnjax.arm.bodies import Body, Joint
+from gnnjax.arm.robot import Robot
 
 Scalar: TypeAlias = float | jax.Array  # one component: a constant, or an array over the batch
 Vector: TypeAlias = list[Scalar]  # 3 components
@@ -78,6 +79,14 @@ def dot(a: Sequence[Scalar], b: Sequence[Scalar]) -> Scalar:
 def subtract(a: Vector, b: Vector) -> Vector:
     """a - b by component."""
     return [add(x, multiply(y, -1.0)) for x, y in zip(a, b, strict=True)]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """a x b by component."""
+    return [
+        add(multiply(a[i], b[j]), multiply(multiply(a[j], b[i]), -1.0))
+        for i, j in ((1, 2), (2, 0), (0, 1))
+    ]
 
 
 def transform(position: Vector, rotation: Matrix, point: Vector) -> Vector:

@@ -152,17 +152,21 @@ def _by_name(
     return None if None in found else np.array(found, np.float32)
 
 
-def _torques(model: mujoco.MjModel, planned: list[int]) -> np.ndarray | None:
-    """What each planned joint can exert either way, by its own limits and those of its actuators;
-    None where one has none."""
+def motor_limits(model: mujoco.MjModel) -> np.ndarray:
+    """What each joint of a model can exert either way, N m or N, by its own limits and those of its
+    actuators; infinite where it has none."""
     limits = np.full(model.njnt, np.inf)
-    for j in planned:
-        if model.jnt_actfrclimited[j]:
-            limits[j] = np.abs(model.jnt_actfrcrange[j]).min()
+    for j in np.flatnonzero(model.jnt_actfrclimited):
+        limits[j] = np.abs(model.jnt_actfrcrange[j]).min()
     for a in range(model.nu):
         j = int(model.actuator_trnid[a, 0])
         if int(model.actuator_trntype[a]) in _TRN_JOINTS and model.actuator_forcelimited[a]:
             force = np.abs(model.actuator_forcerange[a]).min()
             limits[j] = min(limits[j], force * abs(model.actuator_gear[a, 0]))
-    chosen = limits[planned]
-    return chosen.astype(np.float32) if ((chosen > 0) & np.isfinite(chosen)).all() else None
+    return np.where(limits > 0, limits, np.inf)
+
+
+def _torques(model: mujoco.MjModel, planned: list[int]) -> np.ndarray | None:
+    """Limits of the planned joints; None where one has none."""
+    chosen = motor_limits(model)[planned]
+    return chosen.astype(np.float32) if np.isfinite(chosen).all() else None

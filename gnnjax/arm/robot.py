@@ -16,16 +16,17 @@ import functools
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from gnnjax.arm.bodies import Body, read_body
 from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
 from gnnjax.arm.covers import cover_file, cover_parts, pairs_of_rows
 from gnnjax.arm.joints import joint_name
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
-from gnnjax.arm.parts import Part, part_of_geom, quat_to_matrix
+from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
 from gnnjax.errors import InputError
 
@@ -37,25 +38,6 @@ def assets_dir() -> Path:
     """The folder of the shipped MJCF: inside the wheel, or at the top of a checkout."""
     inside = Path(__file__).parents[1] / "assets"
     return inside if inside.is_dir() else Path(__file__).parents[2] / "assets"
-
-
-class Joint(NamedTuple):
-    """One hinge or slide joint of a body, in the body's frame."""
-
-    index: int  # position in the configuration
-    hinge: bool  # false: slide
-    axis: np.ndarray  # [3] unit vector
-    anchor: np.ndarray  # [3] m, the point the axis goes through
-
-
-class Body(NamedTuple):
-    """One link: how its frame lies in its parent's, and the joints that move it."""
-
-    name: str
-    parent: int  # index into `Robot.bodies`, -1 for the world
-    position: np.ndarray  # [3] m
-    rotation: np.ndarray  # [3 3]
-    joints: tuple[Joint, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,6 +56,7 @@ class Robot:
     velocity_limit: np.ndarray | None  # [D] rad/s or m/s; None where the file does not name all
     acceleration_limit: np.ndarray | None  # [D] rad/s^2 or m/s^2
     torque_limit: np.ndarray | None  # [D] N m or N
+    rest_limit: np.ndarray | None  # [D] N m or N, that may hold the arm at rest; None: any may
     home: np.ndarray  # [D] the keyframe "home", or the middle of the joint ranges
     parts: tuple[Part, ...]  # P, the collision geometry
     part_geom_ids: np.ndarray  # [P] geom of `mj_model` that each part is
@@ -135,6 +118,13 @@ class Robot:
         from gnnjax.scene.holding import attach
 
         return attach(self, body, shapes, **how)
+
+    def at_rest_within(self, share: float, **how: Any) -> "Robot":
+        """A new arm that is planned for only where a share of its motors' torques holds it, by
+        `torque`: see `gnnjax.arm.torques.at_rest_within`."""
+        from gnnjax.arm.torques import at_rest_within
+
+        return at_rest_within(self, share, **how)
 
 
 def load_robot(
@@ -264,6 +254,7 @@ def _robot_of(
         velocity_limit=reading.velocity_limit,
         acceleration_limit=reading.acceleration_limit,
         torque_limit=reading.torque_limit,
+        rest_limit=None,
         home=home,
         parts=parts,
         part_geom_ids=geom_ids,
@@ -276,25 +267,4 @@ def _robot_of(
         geom_inner_radii=rows.inner_radii,
         self_pairs=pairs_of_rows(rows.parts, pairs),
         notes=notes,
-    )
-
-
-def read_body(model: mujoco.MjModel, b: int) -> Body:
-    """Body b of a model, which has no number 0, its world."""
-    first, count = model.body_jntadr[b], model.body_jntnum[b]
-    joints = tuple(
-        Joint(
-            index=int(j),
-            hinge=int(model.jnt_type[j]) == _HINGE,
-            axis=model.jnt_axis[j].copy(),
-            anchor=model.jnt_pos[j].copy(),
-        )
-        for j in range(first, first + count)
-    )
-    return Body(
-        name=model.body(b).name,
-        parent=int(model.body_parentid[b]) - 1,
-        position=model.body_pos[b].copy(),
-        rotation=quat_to_matrix(model.body_quat[b]),
-        joints=joints,
     )

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gnnjax.arm.robot import Joint, Robot
+from gnnjax.arm.bodies import Joint
+from gnnjax.arm.robot import Robot
 from gnnjax.collision.hulls import Hulls
 from gnnjax.collision.obstacles import sum_of_squares
 from gnnjax.errors import InputError

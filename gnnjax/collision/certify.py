@@ -25,7 +25,7 @@ _EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
 
 def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
     """Proves that a path is free of collisions, boxes and the arm itself, along its whole length,
-    but for contacts that are meant (`allow_contacts`).
+    but for contacts that are meant (`allow_contacts`). Of torques it says nothing (`time_path`).
 
     The path is cut into pieces. A piece is free when, at its middle, every collision geom is
     farther from everything else than any of its points can move until the piece's ends; otherwise

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import can_rest
 from gnnjax.collision.cloud import with_clouds
 from gnnjax.collision.fused import Levels, fused_functions
 from gnnjax.collision.spheres import BLOCKED
@@ -94,7 +95,8 @@ def make_checker(
 
     def inside_limits(nodes: jax.Array) -> jax.Array:
         # NaN fails these comparisons, so that it can never count as valid.
-        return jnp.all((nodes >= lower) & (nodes <= upper), axis=-1)
+        inside = jnp.all((nodes >= lower) & (nodes <= upper), axis=-1)
+        return inside if robot.rest_limit is None else inside & can_rest(robot, nodes)
 
     def check_configurations(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
         return inside_limits(nodes) & functions.collision_free(scene, nodes)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import rest_fault, rests
 from gnnjax.collision.certify import check_scene
 from gnnjax.collision.clearances import base_clear, clearances
 from gnnjax.collision.obstacles import Obstacles, scene_faults
@@ -165,7 +166,8 @@ def _end_reasons(
     """What is wrong with configurations `[P, D]` that have so much clearance `[P]`."""
     reasons: list[str | None] = [None] * len(q)
     outside = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))
-    for i in np.flatnonzero(outside.any(axis=1) | (clearance <= 0)):
+    too_weak = ~rests(robot, q)
+    for i in np.flatnonzero(outside.any(axis=1) | (clearance <= 0) | too_weak):
         if outside[i].any():
             joint = int(outside[i].argmax())
             value = q[i, joint]
@@ -177,8 +179,15 @@ def _end_reasons(
                 + (" (radians; are these degrees?)" if degrees else "")
             )
             continue
-        contact = deepest_contact(robot, jax.tree.map(lambda x, i=i: x[i], scenes), q[i])
         rounded = as_typed(np.round(q[i], 4))
+        if clearance[i] > 0:
+            joint, what = rest_fault(robot, q[i])
+            reasons[i] = (
+                f"at {name} {rounded} joint {joint} {what}; carry less, allow a larger share, or "
+                "choose another configuration"
+            )
+            continue
+        contact = deepest_contact(robot, jax.tree.map(lambda x, i=i: x[i], scenes), q[i])
         if contact:
             reasons[i] = (
                 f"{name} {rounded} is in collision: {contact.first} and {contact.second} overlap "

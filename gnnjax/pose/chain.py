@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gnnjax.arm.robot import Joint, Robot
+from gnnjax.arm.bodies import Joint
+from gnnjax.arm.robot import Robot
 from gnnjax.pose.goal import ToolFrame
 
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import rests
 from gnnjax.collision.clearances import clearances
 from gnnjax.devices import cache_compilations, map_first, run_where_called
 from gnnjax.errors import InputError, brief, check_seed
@@ -43,7 +44,9 @@ class Solutions(NamedTuple):
     position_error: Float[np.ndarray, "*batch K"]  # m, along the axes that count
     rotation_error: Float[np.ndarray, "*batch K"]  # rad, likewise
     reached: Bool[np.ndarray, "*batch K"]  # both errors are within the tolerance
-    valid: Bool[np.ndarray, "*batch K"]  # reached, and clear of the scene and of the arm itself
+    valid: Bool[
+        np.ndarray, "*batch K"
+    ]  # reached, clear of the scene and of the arm itself, and held
     distance: Float[np.ndarray, "*batch K"]  # from the configuration that is wanted near
 
 
@@ -183,7 +186,8 @@ def _judged(
     reached = (place <= goal.tolerance[0]) & (turn <= goal.tolerance[1])
     valid = reached.copy()
     if reached.any():
-        valid[reached] = clearances(robot, scene, q[reached], most=0.0) > 0
+        free = clearances(robot, scene, q[reached], most=0.0) > 0
+        valid[reached] = free & rests(robot, q[reached])
     return Solutions(q, place, turn, reached, valid, np.linalg.norm(q - home, axis=-1))
 
 

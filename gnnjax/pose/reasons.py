@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import rest_fault, rests
 from gnnjax.pose.goal import AXES, PoseGoal, tool_frame
 from gnnjax.pose.inverse import Solutions, inverse_kinematics
 from gnnjax.scene.mujoco_world import deepest_contact
@@ -14,7 +15,7 @@ from gnnjax.scene.scene import Scene
 def why_none(
     robot: Robot, goal: PoseGoal, scene: Scene, found: Solutions, margin: float = 0.0
 ) -> str:
-    """The joint limits or contacts that are in the way, in one sentence.
+    """The joint limits, contacts or weights that are in the way, in one sentence.
 
     Args:
         robot: the arm.
@@ -53,16 +54,20 @@ def _limits(robot: Robot, tool: str, goal: PoseGoal, found: Solutions) -> str:
 
 def _contacts(robot: Robot, tool: str, scene: Scene, reached: np.ndarray, margin: float) -> str:
     pairs: Counter[str] = Counter()
-    for q in reached:
+    held = rests(robot, reached)
+    for q, good in zip(reached, held, strict=True):
         contact = deepest_contact(robot, scene, q)
         if contact:
             pairs[f"{contact.first} with {contact.second}"] += 1
+        elif not good:
+            pairs[f"joint {rest_fault(robot, q)[0]} is too weak to hold the arm"] += 1
         elif margin:
             pairs[f"the arm comes within {1e3 * margin:g} mm of an obstacle"] += 1
         else:
             pairs["too near to a contact to rule it out"] += 1
     listed = ", ".join(f"{what} in {count}" for what, count in pairs.most_common(3))
     return (
-        f"{tool} reaches the pose in {len(reached)} configurations found, and all collide: "
-        f"{listed}; move the pose, or free an axis"
+        f"{tool} reaches the pose in {len(reached)} configurations found, and "
+        f"{'all collide' if held.all() else 'none is valid'}: {listed}; move the pose, or free an "
+        "axis"
     )

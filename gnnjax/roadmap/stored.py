@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import rests
 from gnnjax.collision.clearances import is_self_free
 from gnnjax.errors import InputError
 from gnnjax.kept import keep
@@ -33,8 +34,8 @@ _NEAR_NODES, _NEAR_LOCAL, _NEAR_ENDS, _NEAR_STORED = 20, 8, 20, 8
 
 @functools.lru_cache(maxsize=64)
 def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
-    """The nodes of a scrambled Sobol sequence that are free of self-collision, joined within the
-    default radius; no start, no goal.
+    """The nodes of a scrambled Sobol sequence where the arm is free of self-collision and may rest,
+    joined within the default radius; no start, no goal.
 
     Args:
         robot: the arm.
@@ -42,7 +43,7 @@ def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
         seed: of the scrambling.
 
     Raises:
-        InputError: hardly any configuration of the arm is free of self-collision.
+        InputError: hardly any configuration of the arm is.
     """
     nodes = np.zeros((0, robot.num_dof), np.float32)
     lower, upper = robot.drawn_lower, robot.drawn_upper
@@ -51,12 +52,18 @@ def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
         drawn = sobol_points(robot.num_dof, seed, number * block, block)
         drawn = (lower + drawn * (upper - lower)).astype(np.float32)
         drawn = np.clip(drawn, lower, upper)
-        nodes = np.concatenate([nodes, drawn[is_self_free(robot, drawn)]])[:num_nodes]
+        good = is_self_free(robot, drawn) & rests(robot, drawn)
+        nodes = np.concatenate([nodes, drawn[good]])[:num_nodes]
         if len(nodes) == num_nodes:
             padding = node_bucket(num_nodes + 2) - 2 - num_nodes
             mask = np.arange(num_nodes + padding) < num_nodes
             nodes = np.pad(nodes, ((0, padding), (0, 0)))
             return _connect(nodes, mask, np.float32(default_radius(robot, num_nodes + 2)))
+    if robot.rest_limit is not None:
+        raise InputError(
+            f"{robot.name} touches itself or cannot rest within its share of torques at nearly "
+            "every configuration; carry less, or allow a larger share"
+        )
     raise InputError(
         f"{robot.name} is in self-collision at nearly every configuration; check the geoms that "
         "collide and the pairs that its MJCF excludes"

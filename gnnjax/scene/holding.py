@@ -14,11 +14,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from gnnjax.arm.bodies import read_body
 from gnnjax.arm.contacts import always_touching, exclude_bodies
 from gnnjax.arm.covers import pairs_of_rows
 from gnnjax.arm.mjcf import self_pairs, without_warnings
 from gnnjax.arm.parts import part_of_geom
-from gnnjax.arm.robot import Robot, read_body
+from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.held import Item, add_body, items_from, pose_from
 from gnnjax.scene.pose import Pose

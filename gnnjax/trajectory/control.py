@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import torques_at_rest
 from gnnjax.errors import InputError
-from gnnjax.trajectory.dynamics import inverse_dynamics_by_mujoco
 from gnnjax.trajectory.trajectory import Setpoints
 
 # rad/s, of errors under `computed_torque`, which they leave without overshoot: a hundredth of the
@@ -96,7 +96,7 @@ def inertias(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 def _weight(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Torques `[B D]` that hold the model at q `[B D]`."""
-    return inverse_dynamics_by_mujoco(robot, q, np.zeros_like(q), np.zeros_like(q))
+    return torques_at_rest(robot, q)
 
 
 def _servo_gains(robot: Robot) -> tuple[np.ndarray, np.ndarray]:

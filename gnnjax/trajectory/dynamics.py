@@ -4,7 +4,6 @@ Recursive Newton-Euler (Featherstone 2008, ch. 5) on components, like `arm/kinem
 from the base. Velocities or gravity that are the constant zero leave no code behind.
 """
 
-import copy
 import functools
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from gnnjax.arm.bodies import Body, Joint
 from gnnjax.arm.kinematics import (
     WORLD,
     Frame,
@@ -22,6 +22,7 @@ from gnnjax.arm.kinematics import (
     Vector,
     add,
     body_frames,
+    cross,
     dot,
     joint_terms,
     move_joint,
@@ -31,7 +32,8 @@ from gnnjax.arm.kinematics import (
     transform,
 )
 from gnnjax.arm.parts import quat_to_matrix
-from gnnjax.arm.robot import Body, Joint, Robot
+from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.errors import InputError
 
 _SAME = 1e-6  # relative; double precision agrees to 1e-12, single would to 1e-4
@@ -124,27 +126,6 @@ def check_dynamics(robot: Robot) -> None:
             "inertia, gravity, linear springs and damping (tendons, fluids, equalities); take them "
             "out of the model"
         )
-
-
-def inverse_dynamics_by_mujoco(
-    robot: Robot, q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
-) -> np.ndarray:
-    """Torques [N m or N] that motors exert at states `[B D]`, by MuJoCo's C engine, without
-    contacts and joint limits, with dry friction."""
-    model = _unconstrained(robot)
-    data, found = mujoco.MjData(model), np.empty(np.shape(q))
-    for row in range(len(found)):
-        data.qpos, data.qvel, data.qacc = q[row], velocity[row], acceleration[row]
-        mujoco.mj_inverse(model, data)
-        found[row] = data.qfrc_inverse
-    return found + model.dof_frictionloss * np.sign(velocity)
-
-
-@functools.cache
-def _unconstrained(robot: Robot) -> mujoco.MjModel:
-    model = copy.copy(robot.mj_model)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    return model
 
 
 def _frames(robot: Robot, q: jax.Array) -> list[Frame]:
@@ -281,14 +262,6 @@ def _at(motion: _Motion, offset: Vector) -> Vector:
     """The acceleration of a point of a frame."""
     turned = cross(motion.turning, cross(motion.turning, offset))
     return _sum(motion.acceleration, _sum(cross(motion.change, offset), turned))
-
-
-def cross(a: Vector, b: Vector) -> Vector:
-    """a x b by component."""
-    return [
-        add(multiply(a[i], b[j]), multiply(multiply(a[j], b[i]), -1.0))
-        for i, j in ((1, 2), (2, 0), (0, 1))
-    ]
 
 
 def _sum(a: Vector, b: Vector) -> Vector:

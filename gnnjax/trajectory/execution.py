@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.margins import largest_margin
@@ -15,7 +16,7 @@ from gnnjax.errors import InputError
 from gnnjax.scene.mujoco_world import obstacles
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
 from gnnjax.trajectory.control import control
-from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
+from gnnjax.trajectory.dynamics import check_dynamics
 from gnnjax.trajectory.limits import Amounts, limits_of
 from gnnjax.trajectory.simulate import (
     DT,

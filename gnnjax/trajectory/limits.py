@@ -1,14 +1,12 @@
 """What the joints of an arm can do."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief
-
-Amounts: TypeAlias = float | int | Sequence | np.ndarray  # one for all joints, or one each
+from gnnjax.arm.torques import Amounts, positive_amounts
+from gnnjax.errors import InputError
 
 
 class Limits(NamedTuple):
@@ -47,24 +45,10 @@ def limits_of(
     found = {}
     for name, values in given.items():
         own = None if name == "jerk" else getattr(robot, f"{name}_limit")  # which models lack
-        found[name] = _positive(robot, name, values) if values is not None else own
+        found[name] = positive_amounts(robot, name, values) if values is not None else own
         if found[name] is None and name in _REMEDIES:
             raise InputError(
                 f"the model of {robot.name} has no {name} limits; give {name}=... "
                 f'({_REMEDIES[name]}), or put <numeric name="{name}_limit"> into its MJCF'
             )
     return Limits(*(None if x is None else np.asarray(x, float) for x in found.values()))
-
-
-def _positive(robot: Robot, name: str, values: Amounts) -> np.ndarray:
-    try:
-        array = np.asarray(values, float)
-    except (TypeError, ValueError):
-        array = np.array(np.nan)
-    fits = array.shape in ((), (1,), (robot.num_dof,))
-    if not fits or not ((array > 0) & np.isfinite(array)).all():
-        raise InputError(
-            f"{name} limits of {robot.name} are {brief(values)}; give one positive number, or "
-            f"{robot.num_dof}, one a joint"
-        )
-    return np.broadcast_to(array, robot.num_dof)

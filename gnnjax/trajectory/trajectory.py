@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import inverse_dynamics_by_mujoco, torques_at_rest
 from gnnjax.clock import Clock
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError
@@ -17,7 +18,7 @@ from gnnjax.scene.scene import Scene, inflated
 from gnnjax.trajectory.batches import over_curves
 from gnnjax.trajectory.clearance import clearances_of
 from gnnjax.trajectory.curve import Curve, make_curve, places, size_of, stray
-from gnnjax.trajectory.dynamics import check_dynamics, inverse_dynamics_by_mujoco
+from gnnjax.trajectory.dynamics import check_dynamics
 from gnnjax.trajectory.jerk import Profile, limit_jerk
 from gnnjax.trajectory.limits import Limits
 from gnnjax.trajectory.options import MotionOptions, check_motion_options, make_motion_options
@@ -287,8 +288,7 @@ def _reason(robot: Robot, limits: Limits, curve: Curve, *points: int) -> str:
     last = len(curve.grid) - 1
     at = np.append(np.flatnonzero(curve.stops), points)  # the start comes first
     place = places(curve, at.astype(float))
-    still = np.zeros_like(place.q)
-    needed = np.abs(inverse_dynamics_by_mujoco(robot, place.q, still, still))
+    needed = np.abs(torques_at_rest(robot, np.asarray(place.q)))
     shares = (needed / limits.torque).max(axis=1)
     row = int((shares > 1).argmax()) if (shares > 1).any() else len(at) - 1
     joint = int((needed[row] / limits.torque).argmax())

@@ -68,12 +68,13 @@ class Page:
         self.server.stop()
 
     def _query_text(self, config) -> str:
-        if read_robot(config).name != self.session.robot.name:
+        if read_robot(config, config.torque).name != self.session.robot.name:
             raise InputError(
                 "the arm holds what its --request has attached, and the query would not name it; "
                 "save the scene alone, and keep the request"
             )
-        others = {"robot": config.robot, "attach": config.attach, "seed": config.seed or None}
+        others = {name: getattr(config, name) for name in ("robot", "attach", "rest_share")}
+        others["seed"] = config.seed or None
         return query_text(self.session, config, **others)
 
     def _look(self, robot: Robot) -> None:
