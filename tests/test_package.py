@@ -46,7 +46,7 @@ collision.gaps collision.certify collision.clearances collision.margins
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 plot
 pose.goal pose.chain pose.solver pose.inverse pose.reasons
-guide.guide guide.view guide.motion guide.field
+guide.guide guide.view guide.motion guide.field guide.rest
 search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.camera
 problems.structures problems.shelves problems.furniture problems.clutter problems.families

@@ -11,6 +11,8 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.arm.torques import can_rest, rests
 from gnnjax.errors import InputError
+from gnnjax.guide.guide import Guide, Prices
+from gnnjax.guide.rest import with_rest
 from gnnjax.planning.load import load_planner
 from gnnjax.planning.query import check_queries
 from gnnjax.pose.goal import PoseGoal
@@ -110,6 +112,40 @@ def test_stored_nodes_and_configurations_that_reach_a_pose_are_held(weak, tiny):
     assert held.valid.any()
     assert (held_by(weak, held.q[held.valid]) <= weak.rest_limit).all()
     assert (held_by(weak, every.q[every.valid]) > weak.rest_limit).any()
+
+
+def test_a_guide_is_told_what_the_arm_cannot_hold(tiny, weak):
+    def nothing(weights, reading):
+        return Prices(lambda q: jnp.zeros(len(q)), lambda starts, ends, most: jnp.ones(len(starts)))
+
+    stored = stored_roadmap(tiny, 60, 0)
+    edges = jnp.full((2, *stored.neighbors.shape), 2.0)
+    plain = Guide(3.0, lambda *of: None, nothing, lambda roadmap: 5, lambda *of: edges)
+    assert with_rest(tiny, plain) is plain
+    guide = with_rest(weak, plain)
+    prices = guide.prices(guide.weights, None)
+    steps = np.linspace(START, GOAL, 8, dtype=np.float32)
+    good = (held_by(weak, steps) <= weak.rest_limit).all(axis=1)
+    assert 0 < good.sum() < 8
+    nodes = prices.nodes(jnp.asarray(steps))
+    assert (nodes[good] < 0.7).all()
+    assert (nodes[~good] > 1).all()
+    # Straight out, and with the last joint bent.
+    bent = np.array([0.0, 0.0, 1.2])
+    ends = [jnp.asarray(np.stack([q, q + bent]), jnp.float32) for q in (START, GOAL)]
+    out, folded = jax.jit(prices.motions, static_argnums=2)(*ends, 16)
+    assert out > 8
+    assert folded < 1.1
+    found = guide.stored(guide.weights, None, guide.tabulate(stored))
+    assert found.shape == edges.shape
+    rows, slots = np.nonzero(np.asarray(stored.neighbor_mask))
+    ends = stored.nodes[rows], stored.nodes[stored.neighbors[rows, slots]]
+    fine = ends[0] + np.linspace(0, 1, 50)[:, None, None] * (ends[1] - ends[0])
+    held = (held_by(weak, fine.reshape(-1, 3)) <= weak.rest_limit).all(axis=1)
+    held = held.reshape(50, -1).all(axis=0)
+    likely = np.asarray(found[1] - 2)[rows, slots] < np.log(2)
+    assert 0.2 < held.mean() < 0.95
+    assert (likely == held).mean() > 0.97
 
 
 def test_ends_where_the_arm_is_not_held_are_refused_by_joint_and_torque(weak):

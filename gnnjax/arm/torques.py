@@ -120,11 +120,16 @@ def positive_amounts(robot: Robot, name: str, values: Amounts) -> np.ndarray:
 def can_rest(robot: Robot, q: Float[Array, "*batch D"]) -> Bool[Array, "*batch"]:
     """Whether the arm may rest at configurations, for kernels, of an arm with a `rest_limit`; a
     little less often than `rests`, never where that is false, and not at NaN."""
+    return rest_use(robot, q) <= 1 - _ROUNDING  # not so for NaN
+
+
+def rest_use(robot: Robot, q: Float[Array, "*batch D"]) -> Float[Array, "*batch"]:
+    """The largest share of a joint's `rest_limit` that holds the arm at configurations."""
     assert robot.rest_limit is not None
-    within = jnp.ones(q.shape[:-1], bool)
+    largest = jnp.zeros(q.shape[:-1], q.dtype)
     for torque, limit in zip(_holding(robot, q), robot.rest_limit.tolist(), strict=True):
-        within &= jnp.abs(torque) <= limit * (1 - _ROUNDING)
-    return within
+        largest = jnp.maximum(largest, jnp.abs(torque) / limit)
+    return largest
 
 
 def rests(robot: Robot, q: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from gnnjax.devices import cache_compilations, on_host, run_where_called
 from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide
+from gnnjax.guide.rest import with_rest
 from gnnjax.planning import strategy as strategies
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.options import PlannerOptions, check_options, make_options
@@ -85,7 +86,8 @@ def make_planner(
 
         return ClassicalPlanner(robot, options)
     if name == "guided":
-        strategy = Guided(robot, guide or _guide(robot, options), options)
+        chosen = with_rest(robot, guide or _guide(robot, options))
+        strategy = Guided(robot, chosen, options)
         return GuidedPlanner(robot, strategy, options, {"guide": guide})
     if name in ("gnn", "gnn_lazy"):
         from gnnjax.paper import strategy as paper
