@@ -1,6 +1,7 @@
 """Torques that hold an arm: MuJoCo's, and planning where they are within limits."""
 
 import functools
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,13 +12,17 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.arm.torques import can_rest, rests
 from gnnjax.errors import InputError
+from gnnjax.evaluate import EvaluateConfig, _arm
+from gnnjax.generate import GenerateConfig, generate
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.guide.rest import with_rest
+from gnnjax.plan import PlanConfig
 from gnnjax.planning.load import load_planner
 from gnnjax.planning.query import check_queries
 from gnnjax.pose.goal import PoseGoal
 from gnnjax.pose.inverse import inverse_kinematics
 from gnnjax.problems.problem import Problem
+from gnnjax.query_options import read_robot
 from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.scene import make_scene
@@ -183,3 +188,15 @@ def test_an_arm_that_other_forces_hold_or_that_rests_nowhere_is_refused(tiny, tm
         load_robot(path).at_rest_within(0.8, torque=TORQUE)
     with pytest.raises(InputError, match="cannot rest within its share of torques at nearly"):
         stored_roadmap(tiny.at_rest_within(1e-4, torque=TORQUE), 60, 0)
+
+
+def test_commands_take_a_share(tiny_path):
+    options: dict = {"robot": "kinova_gen3", "rest_share": 0.5}
+    limit = load_robot("kinova_gen3").torque_limit
+    planned = PlanConfig(scene=Path(), **options)
+    np.testing.assert_allclose(read_robot(planned).rest_limit, limit / 2)
+    np.testing.assert_allclose(read_robot(planned, (30.0,)).rest_limit, [15.0] * 6)
+    evaluated = EvaluateConfig(problems=Path(), json=Path(), **options)
+    np.testing.assert_allclose(_arm(evaluated).rest_limit, limit / 2)
+    with pytest.raises(InputError, match="joint a of tiny has no torque limit"):
+        generate(GenerateConfig(robot=str(tiny_path), rest_share=0.5))

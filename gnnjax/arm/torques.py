@@ -1,7 +1,7 @@
 """Torques of an arm's motors, and the choice to plan where they can hold the arm at rest.
 
 What holds an arm is a property of the arm alone, like whether it touches itself: where its weight,
-with what it holds, takes more than the motors may give, no motion leads through, however slow.
+with what it holds, takes more than the motors may give, a motion can at best swing through.
 """
 
 import copy
