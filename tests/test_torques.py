@@ -11,6 +11,7 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.arm.torques import can_rest, rests
+from gnnjax.digest import digest
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, _arm
 from gnnjax.generate import GenerateConfig, generate
@@ -84,6 +85,7 @@ def test_the_same_share_gives_the_same_arm_and_what_it_holds_weighs_on_it(tiny, 
     assert tiny.at_rest_within(0.8, torque=TORQUE) is weak
     assert tiny.rest_limit is None
     assert weak.name == tiny.name
+    assert len({digest(r) for r in (tiny, weak, tiny.at_rest_within(0.7, torque=TORQUE))}) == 3
     q, ball = np.zeros((1, 3)), [sphere([0.2, 0, 0], 0.03)]
     strong = tiny.at_rest_within(1.0, torque=TORQUE)
     assert rests(strong, q)
