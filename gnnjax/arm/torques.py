@@ -184,7 +184,9 @@ def _holding(robot: Robot, q: Float[Array, "*batch D"]) -> list[Scalar]:
 
     All that hangs on a joint pulls as if it were in one point.
     """
-    joints, gravity = joint_terms(robot, q), robot.mj_model.opt.gravity.tolist()
+    # Behind a barrier, or the compiler computes cosines anew for each torque.
+    joints = jax.lax.optimization_barrier(joint_terms(robot, q))
+    gravity = robot.mj_model.opt.gravity.tolist()
     frames: list[Frame] = []
     axes: list[tuple[int, Joint, Vector, Vector]] = []  # body, joint, direction, anchor
     for number, body in enumerate(robot.bodies):
