@@ -30,7 +30,7 @@ from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius
 from gnnjax.roadmap.stored import insert_ends, stored_roadmap
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import box
-from gnnjax.trajectory.trajectory import sample_trajectory
+from gnnjax.trajectory.states import sample_trajectory
 
 PLANAR = """
 <mujoco model="planar">

@@ -69,13 +69,8 @@ from gnnjax.trajectory.execution import (
 from gnnjax.trajectory.files import load_trajectory, save_trajectory
 from gnnjax.trajectory.options import MotionOptions
 from gnnjax.trajectory.simulate import ModelErrors
-from gnnjax.trajectory.trajectory import (
-    Setpoints,
-    Trajectory,
-    sample_trajectory,
-    time_path,
-    time_paths,
-)
+from gnnjax.trajectory.states import Setpoints, sample_trajectory
+from gnnjax.trajectory.trajectory import Trajectory, time_path, time_paths
 
 # Flax takes half a second to import, which only those pay who use networks.
 if TYPE_CHECKING:

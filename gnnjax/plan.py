@@ -14,7 +14,7 @@ from gnnjax.planning.options import PlannerOptions
 from gnnjax.query_options import QueryOptions, read_query, read_robot
 from gnnjax.trajectory.files import check_trajectory_file, save_trajectory
 from gnnjax.trajectory.options import MotionOptions, check_motion_options
-from gnnjax.trajectory.trajectory import check_step, sample_trajectory
+from gnnjax.trajectory.states import check_step, sample_trajectory
 from gnnjax.video import check_video, draw_video
 
 _UNTOLD = ("reason", "trajectory")  # of a plan, in the file of its path

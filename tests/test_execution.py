@@ -20,7 +20,8 @@ from gnnjax.trajectory.execution import (
     motion_clearance,
 )
 from gnnjax.trajectory.simulate import DT, ModelErrors, build_true_world
-from gnnjax.trajectory.trajectory import sample_trajectory, time_path, time_paths
+from gnnjax.trajectory.states import sample_trajectory
+from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
 
 NOTHING = make_scene([], [])

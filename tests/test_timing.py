@@ -14,7 +14,8 @@ from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
 from gnnjax.trajectory.curve import distinct, edges_of, make_curve, places, size_of
 from gnnjax.trajectory.limits import Limits, limits_of
-from gnnjax.trajectory.trajectory import sample_trajectory, states, time_path, time_paths
+from gnnjax.trajectory.states import sample_trajectory, states
+from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
 
 NOTHING = make_scene([], [])

@@ -12,7 +12,8 @@ from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.scene.scene import make_scene
 from gnnjax.trajectory.files import load_trajectory, save_trajectory
-from gnnjax.trajectory.trajectory import sample_trajectory, time_path
+from gnnjax.trajectory.states import sample_trajectory
+from gnnjax.trajectory.trajectory import time_path
 
 
 @pytest.fixture(scope="module")

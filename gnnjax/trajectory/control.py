@@ -14,7 +14,7 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import torques_at_rest
 from gnnjax.errors import InputError
-from gnnjax.trajectory.trajectory import Setpoints
+from gnnjax.trajectory.states import Setpoints
 
 # rad/s, of errors under `computed_torque`, which they leave without overshoot: a hundredth of the
 # rate at which motors are told anew, and slow enough for delays of ten milliseconds.

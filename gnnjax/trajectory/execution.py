@@ -27,7 +27,8 @@ from gnnjax.trajectory.simulate import (
     placed,
     simulate,
 )
-from gnnjax.trajectory.trajectory import Setpoints, Trajectory, movement, sample_times
+from gnnjax.trajectory.states import Setpoints, movement, sample_times
+from gnnjax.trajectory.trajectory import Trajectory
 
 _HOLD = 0.5  # s at the goal, before it is told whether the arm rests there
 _AT_REST = 0.02  # rad or m, and rad/s or m/s, of each joint

@@ -12,7 +12,8 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.files import FileKind, atomic_write, check_target, read_arrays
 from gnnjax.scene.scene_file import read_json
-from gnnjax.trajectory.trajectory import Setpoints, Trajectory, sample_trajectory
+from gnnjax.trajectory.states import Setpoints, sample_trajectory
+from gnnjax.trajectory.trajectory import Trajectory
 
 _NANO = 10**9
 _ROUNDED = 1e-3  # rad or m, of joint limits: people round what they write

@@ -20,7 +20,7 @@ from gnnjax.errors import InputError
 from gnnjax.scene.mujoco_world import obstacles, place_boxes, world_spec
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.control import Law
-from gnnjax.trajectory.trajectory import Setpoints
+from gnnjax.trajectory.states import Setpoints
 
 DT = 1e-3  # s, of a step
 _LONGEST_DELAY = 0.1  # s

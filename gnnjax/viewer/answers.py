@@ -14,7 +14,7 @@ from gnnjax.pose.inverse import inverse_kinematics
 from gnnjax.pose.reasons import why_none
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.options import MotionOptions, check_motion_options
-from gnnjax.trajectory.trajectory import sample_trajectory
+from gnnjax.trajectory.states import sample_trajectory
 
 _STEP_S = 0.02  # between states of a motion that are shown
 _LIMITS = ("velocity", "acceleration", "torque", "jerk")

@@ -1,0 +1,93 @@
+"""States along a motion: positions, velocities, accelerations and torques at times."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import inverse_dynamics_by_mujoco
+from gnnjax.errors import InputError
+from gnnjax.trajectory.curve import Curve, places
+from gnnjax.trajectory.timing import Timing
+from gnnjax.trajectory.trajectory import Trajectory
+
+
+class Setpoints(NamedTuple):
+    """States at T times of a motion."""
+
+    times: np.ndarray  # [T] s
+    positions: np.ndarray  # [T D] rad or m
+    velocities: np.ndarray  # [T D] rad/s or m/s
+    accelerations: np.ndarray  # [T D] rad/s^2 or m/s^2
+    torques: np.ndarray  # [T D] N m or N, of motors, without contacts
+
+
+def sample_trajectory(robot: Robot, trajectory: Trajectory, dt: float) -> Setpoints:
+    """States of a motion every `dt` seconds, and at its end.
+
+    Torques are those of MuJoCo's inverse dynamics, without contacts, and of dry friction.
+
+    Raises:
+        InputError: no motion, or a step that is none.
+    """
+    check_step(dt)
+    return states(robot, trajectory, sample_times(trajectory, dt))
+
+
+def sample_times(trajectory: Trajectory, dt: float) -> np.ndarray:
+    """Times `[T]` every `dt` seconds of a motion, and its end.
+
+    Raises:
+        InputError: no motion.
+    """
+    if not trajectory.success:
+        raise InputError(f"there is no motion to sample: {trajectory.reason}")
+    count = int(np.ceil(trajectory.duration / dt - 1e-9))
+    return np.append(np.arange(count) * dt, trajectory.duration)
+
+
+def states(robot: Robot, trajectory: Trajectory, times: np.ndarray) -> Setpoints:
+    """States of a motion at times `[T]` from 0 to its duration."""
+    moved = movement(trajectory, times)
+    return Setpoints(times, *moved, inverse_dynamics_by_mujoco(robot, *moved))
+
+
+def movement(
+    trajectory: Trajectory, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and accelerations `[T D]` of a motion at such times."""
+    curve, profile = trajectory.curve, trajectory.profile
+    if profile is None:
+        at, speed, push = _places_at(curve, trajectory.timing, times)
+    else:
+        way, speed, push = profile.at(times)
+        at = np.interp(way, curve.grid, np.arange(len(curve.grid)))
+    speed = np.maximum(speed, 0.0)[:, None]
+    place = places(curve, at)
+    positions = np.asarray(place.q)
+    velocities = np.asarray(place.slope) * speed
+    accelerations = np.asarray(place.slope * push[:, None] + place.bend * speed**2)
+    return positions, velocities, accelerations
+
+
+def _places_at(
+    curve: Curve, timing: Timing, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grid indices, speeds and pushes `[T]` of the fastest motion."""
+    steps = np.diff(curve.grid)
+    # Intervals of no length take no time, and none begins at a time that another one has.
+    interval = np.searchsorted(timing.times, times, side="right") - 1
+    last = np.flatnonzero(steps > 0)[-1] if (steps > 0).any() else 0
+    interval = np.minimum(interval, last)
+    since = times - timing.times[interval]
+    begin, u = np.sqrt(timing.x[interval]), np.asarray(timing.u[interval])
+    step = steps[interval]
+    way = np.clip(begin * since + u * since**2 / 2, 0.0, step)
+    at = interval + np.divide(way, step, out=np.zeros_like(way), where=step > 0)
+    return at, begin + u * since, u
+
+
+def check_step(dt: float) -> None:
+    """Refuses a time between states that is none, or so short that they fill the memory."""
+    if not 1e-5 <= dt < np.inf:
+        raise InputError(f"dt is {dt}; give a step in seconds, such as 0.01")
