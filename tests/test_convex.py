@@ -1,5 +1,6 @@
 """Whether convex bodies are apart: against MuJoCo's C engine, and by the proof in float64."""
 
+from copy import copy as copied
 from pathlib import Path
 
 import jax
@@ -142,6 +143,18 @@ def test_the_sign_is_that_of_mujocos_distance(pairs):
     assert not np.any(gaps[distance < PENETRATION] > 0.0)
     assert np.all(gaps[distance > CLEAR] > 0.0)
     assert np.all(gaps <= np.maximum(distance, 0.0) + 1e-6)
+
+
+def test_what_is_proven_of_a_pair_does_not_depend_on_its_company(pairs):
+    with_parts, pairs = pairs
+    together, _ = pairs.separated(PARTS, with_parts)
+    for n in np.argsort(np.abs(pairs.distance))[:30]:
+        alone = copied(pairs)
+        for name in ("part", "other", "rotation", "position"):
+            every = getattr(pairs, name)
+            setattr(alone, name, np.broadcast_to(every[n], every.shape))
+        gaps, _ = alone.separated(PARTS, with_parts)
+        np.testing.assert_array_equal(gaps, together[n])
 
 
 def test_the_direction_proves_the_gap_in_float64(pairs):

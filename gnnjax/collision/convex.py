@@ -212,7 +212,8 @@ def _separate(
         turns = jnp.any(state.undecided).astype(jnp.int32)  # one, or there would be no round
         point = support(n, turns)
         gaps = dot(n, point) - radii - lost
-        better = gaps > state.gaps  # never so for NaN
+        # Never so for NaN; and what is decided stays so, however long others take.
+        better = (gaps > state.gaps) & state.undecided
         nearest, points, inside = nearest_point(point, state.points, turns)
         undecided = state.undecided & ~(gaps > 0.0) & ~inside
         return _State(
