@@ -134,16 +134,20 @@ def test_shipped_arms_match_c_engine(name, rotated):
     assert by_itself > 2
 
 
-def test_capsules_match_c_engine(capsules):
+@pytest.fixture(scope="module")
+def check_capsules(capsules):
+    return jax.jit(make_checker(capsules).check_configurations)
+
+
+def test_capsules_match_c_engine(capsules, check_capsules):
     rng = np.random.default_rng(1)
-    check = jax.jit(make_checker(capsules).check_configurations)
     engine = Engine(capsules)
     # Four boxes a pass here, so that the last pass over nine holds padding.
     for num_boxes in (0, 4, 9):
         scene = random_boxes(rng, num_boxes, rotated=True, reach=1.4)
         q = random_configurations(rng, capsules, 1000)
         engine.place(scene)
-        valid = check(scene, q)
+        valid = check_capsules(scene, q)
         assert_verdicts_agree(valid, engine.gaps(q))
         assert 10 < valid.sum() < 990
 
@@ -278,6 +282,36 @@ def test_many_edges_come_to_what_few_come_to(tiny, tiny_checker, tiny_edges):
         assert MANY // 4 < few.valid.sum() < MANY - MANY // 50
         assert not few.valid[7::100].any()
         assert not few.valid[9::100].any()
+
+
+def test_what_configurations_prove_of_others_is_what_testing_these_finds(capsules, check_capsules):
+    """Of edges of all lengths, some of which cannot be tested, of an arm that also meets itself."""
+    rng, proven = np.random.default_rng(9), jax.jit(make_checker(capsules).edges_free)
+    for num_boxes, reach in ((0, 1.4), (4, 0.9), (9, 1.4)):
+        scene = random_boxes(rng, num_boxes, reach=reach)
+        starts, ends = (random_configurations(rng, capsules, MANY) for _ in range(2))
+        ends = starts + (ends - starts) * rng.random((MANY, 1), np.float32) ** 2
+        # Where one joint moves alone, the bounds on motions are tight.
+        ends[::2, 1:] = starts[::2, 1:]
+        ends[::50] = starts[::50]
+        ends[7::100, 1], ends[9::100, 0] = np.nan, 100.0
+        starts[11::100, 2] = 2.65  # beyond the limit
+        expected = np.zeros(MANY, bool)
+        length = np.linalg.norm(ends - starts, axis=1)
+        testable = np.flatnonzero(length < 20.0)
+        intervals = np.maximum(np.ceil(length[testable] / np.float32(EDGE_RESOLUTION)), 1).astype(
+            int
+        )
+        edge = np.repeat(testable, intervals - 1)
+        point = np.concatenate([np.arange(1, n, dtype=np.float32) for n in intervals])
+        share = (point / np.repeat(intervals, intervals - 1).astype(np.float32))[:, None]
+        q = starts[edge] + share * (ends - starts)[edge]
+        q = np.pad(q, ((0, -len(q) % 1000), (0, 0))).reshape(-1, 1000, q.shape[1])
+        free = np.concatenate([check_capsules(scene, some) for some in q])[: len(edge)]
+        expected[testable] = True
+        expected[edge[~free]] = False
+        np.testing.assert_array_equal(proven(scene, starts, ends), expected)
+        assert MANY // 16 < expected.sum() < MANY - MANY // 25
 
 
 def test_edges_leave_no_gap_wider_than_the_resolution():

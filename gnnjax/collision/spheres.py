@@ -5,7 +5,7 @@ Configurations come in G groups of T that share a scene. What a pass needs of an
 out of a table once a group, and all configurations of the group are computed side by side with it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -106,23 +106,24 @@ class Passes:
 
     def __init__(self, robot: Robot):
         self._robot = robot
-        self._moving = np.flatnonzero(moved_by_joint(robot)).tolist()
+        # The spheres that joints move.
+        self.moving = np.flatnonzero(moved_by_joint(robot)).tolist()
         self._bodies = robot.geom_bodies.tolist()
         num = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
         # Of each pass over pairs of the arm's own spheres, the pairs.
         self.self_pairs = np.array_split(robot.self_pairs, num) if num else []
 
     def to_obstacle(
-        self, joints: Joints, obstacle: Obstacle
+        self, joints: Joints, obstacle: Obstacle, spheres: Sequence[int] | None = None
     ) -> Iterator[tuple[int, jax.Array, jax.Array]]:
         """Of every sphere that moves: its number, its centre's squared distance to the obstacle's
         box and disc, and the radius of the obstacle's ball. Where a contact is meant, the distance
-        is infinite."""
+        is infinite. Of some of `moving`, if they are named."""
         origin, rotation, half_extents, (disc, ball), allowed = obstacle
         # Kinematics in the frame of the obstacle are less work than moving every sphere there.
         turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
         points = sphere_centers(self._robot, joints, (list(origin), turned))
-        for g in self._moving:
+        for g in self.moving if spheres is None else spheres:
             squared = squared_distance(points[g], list(half_extents), disc)
             if allowed is not None:
                 squared = jnp.where(allowed[self._bodies[g]], jnp.inf, squared)

@@ -18,7 +18,7 @@ from gnnjax.problems.families import FAMILIES, FamilyName
 from gnnjax.problems.family_problem import sample_family_problem
 from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
 from gnnjax.roadmap.graph import GOAL, Roadmap, default_radius
-from gnnjax.roadmap.paths import cost_to_go, edge_validity, next_slots
+from gnnjax.roadmap.paths import cost_to_go, edges_that, next_slots
 from gnnjax.roadmap.sampled import sample_roadmap
 
 Split = Literal["train", "validation", "test"]
@@ -76,8 +76,7 @@ def generate_labelled(
             num_nodes=num_nodes,
             radius=default_radius(robot, num_nodes),
         )
-        edges = functools.partial(check.check_edges, problem.scene)
-        valid = edge_validity(sampled.roadmap, edges).edge_valid
+        valid = edges_that(sampled.roadmap, functools.partial(check.edges_free, problem.scene))
         return LabelledRoadmap(problem, sampled.roadmap, label_roadmap(sampled.roadmap, valid))
 
     def one(key: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:

@@ -28,6 +28,28 @@ def edge_validity(
         roadmap: N nodes with K slots.
         check_edges: `(starts [E D], ends [E D]) -> EdgeChecks`, for all edges at once and padding.
     """
+    slots, *ends = _every_edge(roadmap)
+    checks = check_edges(*ends)
+    tested = jnp.sum(checks.num_checks, where=slots >= 0)
+    valid = _both_ways(roadmap, slots, checks.valid)
+    return ValidityLabels(valid, (slots >= 0).sum().astype(jnp.int32), tested)
+
+
+def edges_that(
+    roadmap: Roadmap, hold: Callable[[jax.Array, jax.Array], jax.Array]
+) -> Bool[Array, "N K"]:
+    """Which edges hold, each asked about once; false on padding.
+
+    Args:
+        roadmap: N nodes with K slots.
+        hold: `(starts [E D], ends [E D]) -> [E]`, for all edges at once and padding.
+    """
+    slots, *ends = _every_edge(roadmap)
+    return _both_ways(roadmap, slots, hold(*ends))
+
+
+def _every_edge(roadmap: Roadmap) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A slot `[E]` of every undirected edge, -1 on padding, and its ends `[E D]`."""
     num, num_slots = roadmap.neighbors.shape
     own = jnp.arange(num)[:, None]
     once = (roadmap.neighbor_mask & (own < roadmap.neighbors)).reshape(-1)
@@ -36,15 +58,20 @@ def edge_validity(
     # Padding edges go from a node to itself, which costs no configuration.
     sender = jnp.where(real, slots // num_slots, 0)
     receiver = jnp.where(real, roadmap.neighbors.reshape(-1)[slots], 0)
-    checks = check_edges(roadmap.nodes[sender], roadmap.nodes[receiver])
-    found = real & checks.valid
+    return slots, roadmap.nodes[sender], roadmap.nodes[receiver]
+
+
+def _both_ways(
+    roadmap: Roadmap, slots: Int[Array, " E"], holds: Bool[Array, " E"]
+) -> Bool[Array, "N K"]:
+    """What holds of the edges in some slots, in both slots of each; false elsewhere."""
+    found = (slots >= 0) & holds
     other_way = reverse_slots(roadmap).reshape(-1)[slots]
-    outside = num * num_slots
+    outside = roadmap.neighbors.size
     valid = jnp.zeros(outside, bool)
     for way in (slots, other_way):
         valid = valid.at[jnp.where(found, way, outside)].set(True, mode="drop")
-    tested = jnp.sum(checks.num_checks, where=real)
-    return ValidityLabels(valid.reshape(num, num_slots), once.sum().astype(jnp.int32), tested)
+    return valid.reshape(roadmap.neighbors.shape)
 
 
 def for_each_edge(
