@@ -138,7 +138,7 @@ class SequenceTester:
             fraction = (point / intervals[item]).astype(np.float32)[:, None]
             q = low[item] + fraction * (high[item] - low[item])
             bad = np.flatnonzero(~self._test(placed, items.owner[item], q, of, clock))
-            hit, where = np.unique(of[bad], return_index=True)
+            hit, where = _firsts(of[bad])
             tested = size.copy()
             tested[hit] = step[bad[where]] + 1
             culprit[rows[hit]] = item[bad[where]]
@@ -201,9 +201,12 @@ class SequenceTester:
         rows = np.flatnonzero(~valid & (np.arange(len(q)) < first[sequence]))
         if not len(rows):
             return valid
-        # The first ones of each sequence, and, where these hold, the others; a few at once.
-        _, begin, of = np.unique(sequence[rows], return_index=True, return_inverse=True)
-        early = (np.arange(len(rows)) - begin[of] < _EARLY) | (len(rows) <= _OPEN_BLOCKS[0])
+        if len(rows) <= _OPEN_BLOCKS[0]:
+            valid[rows] = self._run_open(placed, owner[rows], found[rows], q[rows], clock)
+            return valid
+        # The first ones of each sequence, and, where these hold, the others.
+        _, begin = _firsts(sequence[rows])
+        early = np.arange(len(rows)) - np.repeat(begin, np.diff(begin, append=len(rows))) < _EARLY
         for some in (early, ~early):
             some = rows[some & (rows < first[sequence[rows]])]
             if not len(some):
@@ -218,7 +221,7 @@ class SequenceTester:
     ) -> np.ndarray:
         """What the first level says of configurations."""
         # Those that lie side by side and have an owner in common share tiles.
-        begin = np.flatnonzero(np.diff(owner, prepend=-1))
+        _, begin = _firsts(owner)
         size = np.diff(begin, append=len(owner))
         tiles = -(-size // _TILE)
         first = np.cumsum(tiles) - tiles
@@ -280,6 +283,14 @@ def _in_blocks(
         begin = end
     # All are on their way before the first is waited for.
     return np.concatenate([np.asarray(found)[:num] for num, found in parts])
+
+
+def _firsts(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of runs of equal numbers: each one's, and where it begins."""
+    is_first = np.ones(len(numbers), bool)
+    np.not_equal(numbers[1:], numbers[:-1], out=is_first[1:])
+    begin = is_first.nonzero()[0]
+    return numbers[begin], begin
 
 
 def _filled(array: np.ndarray, num: int) -> np.ndarray:
