@@ -148,6 +148,13 @@ def test_flat_tests_among_more_obstacles_than_a_word_has_bits(crane):
     words = np.asarray(jax.jit(first)(placed.scenes, owner.astype(np.int32), q[:, None]))[:, 0]
     assert (free & (words > 0)).sum() > 5
     assert (~free & (words < 1 << 30) & (words > 0)).sum() > 5
+    # A sequence ends with the first of its own that is not free.
+    sequence = np.sort(rng.integers(0, 30, len(q)))
+    outcome = tester(placed, Items(sequence, owner, q, q, np.zeros(len(q), bool)), 30)
+    for number in range(30):
+        own = free[sequence == number]
+        assert outcome.refuted[number] == (not own.all())
+        assert outcome.num_valid[number] == np.append(own, False).argmin()
 
 
 def test_edges_that_graze_are_certified_and_none_of_them_collides(crane):

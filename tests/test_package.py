@@ -40,7 +40,8 @@ scene.geometry scene.field scene.mujoco_world
 scene.pose scene.held scene.holding scene.messages scene.collision_objects
 scene.moveit scene.from_mjcf scene.any_file
 collision.spheres collision.simplex collision.convex collision.exact collision.components
-collision.fused collision.mjx collision.points collision.cloud collision.checker collision.sequences
+collision.fused collision.mjx collision.points collision.cloud collision.checker
+collision.blocks collision.one_call collision.sequences
 collision.obstacles collision.hulls collision.bounds collision.link_frames
 collision.gaps collision.certify collision.margins
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
