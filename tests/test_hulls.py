@@ -137,8 +137,11 @@ def test_flat_tests_among_more_obstacles_than_a_word_has_bits(crane):
     tester = SequenceTester(crane, make_checker(crane), 0.05)
     placed = tester.place(stack_scenes(scenes))
     q = np.concatenate(drawn).astype(np.float32)
-    owner, sequence = np.repeat([0, 1], [len(x) for x in drawn]), np.arange(len(q))
-    free = ~tester(placed, Items(sequence, owner, q, q, np.zeros(len(q), bool)), len(q)).refuted
+    owner = np.repeat([0, 1], [len(x) for x in drawn])
+    # Most sequences are empty, and there are more of them than configurations in a call.
+    sequence, num = 7 * np.arange(len(q)), 7 * len(q)
+    outcome = tester(placed, Items(sequence, owner, q, q, np.zeros(len(q), bool)), num)
+    free = ~outcome.refuted[sequence]
     found = zip(scenes, (q[owner == i] for i in (0, 1)), strict=True)
     apart = np.concatenate([least_distance(crane, *pair) for pair in found])
     assert not (free & (apart < -1e-5)).any()
@@ -149,6 +152,13 @@ def test_flat_tests_among_more_obstacles_than_a_word_has_bits(crane):
     words = np.asarray(jax.jit(first)(placed.scenes, owner.astype(np.int32), q[:, None]))[:, 0]
     assert (free & (words > 0)).sum() > 5
     assert (~free & (words < 1 << 30) & (words > 0)).sum() > 5
+    # A sequence ends with the first of its own that is not free.
+    sequence = np.sort(rng.integers(0, 30, len(q)))
+    outcome = tester(placed, Items(sequence, owner, q, q, np.zeros(len(q), bool)), 30)
+    for number in range(30):
+        own = free[sequence == number]
+        assert outcome.refuted[number] == (not own.all())
+        assert outcome.num_valid[number] == np.append(own, False).argmin()
 
 
 def test_edges_that_graze_are_certified_and_none_of_them_collides(crane):

@@ -150,18 +150,20 @@ class Spheres:
 
     def rates(self, change: np.ndarray) -> Rates:
         """Bounds for motions by up to `change` `[D, E]` of each joint."""
-        spheres, pairs, parts, part_pairs = (
-            np.zeros((len(reach), change.shape[1])) for reach in self._reaches()
-        )
-        for total, reach in zip((spheres, pairs, parts, part_pairs), self._reaches(), strict=True):
-            for j, by in enumerate(change):
-                total += reach[:, j, None] * by
+        every, ends = self._every_reach
+        total = np.zeros((len(every), change.shape[1]))
+        for j, by in enumerate(change):
+            total += every[:, j, None] * by
+        spheres, pairs, parts, part_pairs = np.split(total, ends)
         links = np.maximum.reduceat(spheres, self.first, axis=0)
         link_pairs = np.maximum.reduceat(pairs, self.pair_first, axis=0)
         return Rates(spheres, pairs, links, link_pairs, parts, part_pairs)
 
-    def _reaches(self) -> tuple[np.ndarray, ...]:
-        return self.reach, self.pair_reach, self.part_reach, self.part_pair_reach
+    @functools.cached_property
+    def _every_reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """All of them, and where those of pairs, of parts and of pairs of parts begin."""
+        every = self.reach, self.pair_reach, self.part_reach, self.part_pair_reach
+        return np.concatenate(every), np.cumsum([len(reach) for reach in every])[:-1]
 
     def same_rates(self, meters: float) -> Rates:
         """Of one motion, by which anything may move as far as anything else."""

@@ -16,7 +16,7 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.exact import hulls_of
-from gnnjax.collision.obstacles import Obstacles, sum_of_squares
+from gnnjax.collision.obstacles import Obstacles, dot, sum_of_squares
 from gnnjax.kept import keep
 
 _BEYOND = 1e-6  # m; how much more than the margin is asked for, before points
@@ -66,16 +66,15 @@ class Hulls:
         """
         centers, axes, extents, disc, ball = obstacles.sums(number, scene)
         offset = frames[3] - centers
-        position = np.stack([_dot(axis, offset) for axis in axes])
-        rotation = np.stack([[_dot(axis, column) for column in frames[:3]] for axis in axes])
+        position, rotation = _seen(axes, offset, frames[:3])
         shapes = convex.Obstacles(extents, disc, ball + margin)
         directions = self._look(self._to_obstacles, part, position, rotation, shapes)
         # In the world: a column of `axes` is what the obstacle's axes are there.
-        normal = _unit(sum(axis * along for axis, along in zip(axes, directions, strict=True)))
-        along = [_dot(axis, normal) for axis in axes]
+        normal = _unit(dot(axes, directions))
+        along = dot(axes.swapaxes(0, 1), normal)
         beside = np.sqrt(along[0] * along[0] + along[1] * along[1])
         thick = sum(np.abs(x) * h for x, h in zip(along, extents, strict=True))
-        top = _dot(normal, centers) + thick + disc * beside + ball
+        top = dot(normal, centers) + thick + disc * beside + ball
         return self._lowest(part, frames, normal) - top
 
     def from_parts(
@@ -88,13 +87,10 @@ class Hulls:
     ) -> np.ndarray:
         """How far parts are from other parts; see `from_obstacles`."""
         offset = frames[3] - other_frames[3]
-        position = np.stack([_dot(axis, offset) for axis in other_frames[:3]])
-        rotation = np.stack(
-            [[_dot(axis, column) for column in frames[:3]] for axis in other_frames[:3]]
-        )
-        directions = self._look(self._to_parts, part, position, rotation, other, position, margin)
         axes = other_frames[:3]
-        normal = _unit(sum(axis * along for axis, along in zip(axes, directions, strict=True)))
+        position, rotation = _seen(axes, offset, frames[:3])
+        directions = self._look(self._to_parts, part, position, rotation, other, position, margin)
+        normal = _unit(dot(axes, directions))
         return self._lowest(part, frames, normal) + self._lowest(other, other_frames, -normal)
 
     def from_clouds(
@@ -117,7 +113,7 @@ class Hulls:
         row, points = obstacles.cloud_points(middle, around + ball + enough, scene)
         away = points - middle[:, row]
         beside = [
-            np.abs(_dot(axis[:, row], away)) - self._halves[a, part[row]]
+            np.abs(dot(axis[:, row], away)) - self._halves[a, part[row]]
             for a, axis in enumerate(frames[:3])
         ]
         gap = np.max(beside, axis=0) - ball[row]
@@ -151,7 +147,7 @@ class Hulls:
             height[of] = self._lowest(part[of], seen, normal) - ball[of]
             normals = np.zeros((3, len(part)))
             normals[:, of] = normal
-            gap = np.maximum(gap, height[row] - _dot(normals[:, row], points))
+            gap = np.maximum(gap, height[row] - dot(normals[:, row], points))
             nearest[of] = np.minimum(nearest[of], gap[chosen])
 
     def _look(self, separate: Callable[..., convex.Separation], *pairs: Any) -> np.ndarray:
@@ -159,29 +155,32 @@ class Hulls:
         # Arrays go to the compiled function as they are, which takes a tenth of the time of
         # putting them on the device one by one.
         num, found = len(pairs[0]), []
-        pairs = jax.tree.map(
-            lambda x: x.astype(np.int32 if x.dtype.kind == "i" else np.float32), pairs
-        )
+        leaves, tree = jax.tree.flatten(pairs)
         for first in range(0, num, _PAIRS_A_CALL):
             # The first of them again until the call is full.
-            rows = np.resize(np.arange(first, min(first + _PAIRS_A_CALL, num)), _PAIRS_A_CALL)
-            own = jax.tree.map(lambda x, rows=rows: x[..., rows], pairs)
+            rows = first + np.arange(_PAIRS_A_CALL) % min(num - first, _PAIRS_A_CALL)
+            own = [x.astype(np.int32 if x.dtype.kind == "i" else np.float32) for x in leaves]
+            own = jax.tree.unflatten(tree, [x.take(rows, axis=-1) for x in own])
             found.append(separate(self._parts, *own).directions)
         return np.concatenate([np.asarray(x) for x in found], axis=1)[:, :num].astype(float)
 
     def _lowest(self, part: np.ndarray, frames: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """The least height of parts `[N]` along normals `[3, N]`."""
-        seen = np.stack([_dot(axis, normal) for axis in frames[:3]])
+        seen = dot(frames[:3].swapaxes(0, 1), normal)
         found = np.empty(len(part))
         for number in np.unique(part):
             rows = np.flatnonzero(part == number)
             heights = self.vertices[number] @ seen[:, rows]
             found[rows] = heights.min(axis=0) - self.radii[number]
-        return found + _dot(normal, frames[3])
+        return found + dot(normal, frames[3])
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def _seen(
+    axes: np.ndarray, offset: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A position `[3, N]` and a rotation `[3, 3, N]`, given by its columns, along axes."""
+    rows = axes.swapaxes(0, 1)
+    return dot(rows, offset), dot(rows[:, :, None], columns.swapaxes(0, 1)[:, None])
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

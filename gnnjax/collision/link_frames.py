@@ -3,36 +3,80 @@
 Arrays have their components first and what they are computed for last, see `obstacles.py`.
 """
 
+import functools
+from typing import NamedTuple
+
 import numpy as np
 
 from gnnjax.collision.bounds import Spheres
 
 
+class _Turns(NamedTuple):
+    """What each of K joints does to the frame that it is in, where that lies in the one before
+    included; a body without a joint has one that does nothing.
+
+    The axes and the origin, `[4 3 K]`, are `still + by_sine * sin(v) + by_cosine * (1 - cos(v))`
+    for a hinge at v (Rodrigues), and `still + by_sine * v` for a slide.
+    """
+
+    before: tuple[int, ...]  # the joint whose frame it is in, -1 for the world
+    last: tuple[int, ...]  # of each link
+    index: np.ndarray  # [K] of the joint in the configuration
+    reference: np.ndarray  # [K] where bodies lie as the MJCF places them
+    slides: np.ndarray  # those of the K that do not turn
+    still: np.ndarray  # [3 4 K]; the components in the frame before come first
+    by_sine: np.ndarray
+    by_cosine: np.ndarray
+
+
+@functools.cache
+def _turns_of(body: Spheres) -> _Turns:
+    before, index, slides, terms, last = [], [], [], [], []
+    for link in body.robot.bodies:
+        at = last[link.parent] if link.parent >= 0 else -1
+        position, rotation = link.position, link.rotation
+        for joint in link.joints or (None,):
+            still = np.column_stack([rotation, position])
+            by_sine, by_cosine = np.zeros((2, 3, 4))
+            if joint is not None and joint.hinge:
+                turn = rotation @ body.crosses[joint.index]
+                for by, once in ((by_sine, turn), (by_cosine, turn @ body.crosses[joint.index])):
+                    by[:, :3], by[:, 3] = once, -once @ joint.anchor
+            elif joint is not None:
+                by_sine[:, 3] = rotation @ joint.axis
+                slides.append(len(before))
+            terms.append((still, by_sine, by_cosine))
+            before.append(at)
+            index.append(0 if joint is None else joint.index)
+            at = len(before) - 1
+            position, rotation = np.zeros(3), np.eye(3)
+        last.append(at)
+    still, by_sine, by_cosine = (np.stack(x, axis=-1) for x in zip(*terms, strict=True))
+    links = tuple(last[number] if number >= 0 else -1 for number in body.links.tolist())
+    reference = body.robot.mj_model.qpos0[index]
+    own = np.array(index), reference, np.array(slides, int)
+    return _Turns(tuple(before), links, *own, still, by_sine, by_cosine)
+
+
 def link_frames(body: Spheres, q: np.ndarray) -> np.ndarray:
     """The axes and the origin of every link at q `[D, B]`, `[4, 3, L, B]`."""
-    # Bodies lie as the MJCF places them when a joint is at its reference (`ref`).
-    value = q - body.robot.mj_model.qpos0[:, None]
-    sin, cos = np.sin(value)[:, None, None], np.cos(value)[:, None, None]
-    # Rodrigues, [D 3 3 B].
-    cross, squared = body.crosses[..., None], (body.crosses @ body.crosses)[..., None]
-    turns = np.eye(3)[..., None] + cross * sin + squared * (1 - cos)
-    world = np.concatenate([np.eye(3), np.zeros((1, 3))])[..., None]
-    # The world comes first here: indices are shifted by one.
-    frames = [np.broadcast_to(world, (4, 3, q.shape[1]))]
-    for link in body.robot.bodies:
-        parent = frames[link.parent + 1]
-        origin = place(parent, link.position)
-        axes = _turned(parent, link.rotation[..., None])
-        for joint in link.joints:
-            if not joint.hinge:
-                origin = origin + _along(axes, joint.axis) * value[joint.index]
-                continue
-            turned = _turned(axes, turns[joint.index])
-            if joint.anchor.any():
-                origin = origin + _along(axes, joint.anchor) - _along(turned, joint.anchor)
-            axes = turned
-        frames.append(np.concatenate([axes, origin[None]]))
-    return np.stack([frames[number + 1] for number in body.links], axis=2)
+    turns = _turns_of(body)
+    value = q[turns.index] - turns.reference[:, None]
+    sine, cosine = np.sin(value), 1 - np.cos(value)
+    sine[turns.slides] = value[turns.slides]
+    own = turns.by_sine[..., None] * sine
+    own += turns.by_cosine[..., None] * cosine
+    own += turns.still[..., None]  # [3 4 K B]
+    # A column more, for the world, which -1 finds: nothing is before it.
+    frames = np.empty((4, 3, len(turns.before) + 1, q.shape[1]))
+    frames[..., -1, :] = _WORLD
+    products = np.empty((3, *frames[:, :, 0].shape))
+    for number, before in enumerate(turns.before):
+        frame, parent = frames[:, :, number], frames[:, :, before]
+        np.multiply(parent[:3, None], own[:, :, None, number], out=products)
+        np.add.reduce(products, axis=0, out=frame)
+        frame[3] += parent[3]
+    return frames.take(turns.last, axis=2)
 
 
 def _along(axes: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -45,6 +89,4 @@ def place(frames: np.ndarray, point: np.ndarray) -> np.ndarray:
     return frames[3] + _along(frames, point)
 
 
-def _turned(axes: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Axes `[3, 3, B]`, turned by rotations `[3, 3, B]` as seen along themselves."""
-    return _along(axes[:, None], turn[:, :, None])
+_WORLD = np.concatenate([np.eye(3), np.zeros((1, 3))])[..., None]

@@ -7,7 +7,6 @@ is counted, is what testing it alone and one by one would give.
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,11 +14,13 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
+from gnnjax.collision.blocks import firsts, in_blocks
 from gnnjax.collision.checker import Checker, bisection_order, most_intervals
 from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.exact import PartTests
+from gnnjax.collision.one_call import decide
 from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, OBSTACLE_BITS
-from gnnjax.kept import keep
+from gnnjax.kept import Kept, keep
 from gnnjax.scene.scene import Scene
 
 # Configurations in a call; one compilation each. A lone query should not pay for a full block.
@@ -55,7 +56,7 @@ class PlacedScenes(NamedTuple):
 
     scenes: Any  # what `Checker.place` has made, on the device; without the points of clouds
     with_points: Any  # and with these
-    num_obstacles: int  # room for so many in a scene
+    numbers: np.ndarray  # [M] of the obstacles in a scene, from 0 on
     many: bool  # whether there are enough for large blocks
 
 
@@ -72,8 +73,10 @@ class SequenceTester:
         levels = checker.levels
         self._place = keep(checker.place)
         self._check = keep(checker.check_each if levels is None else levels.first)
+        self._decide: Kept | None = None
         self._second = None
         if levels is not None:
+            self._decide = keep(functools.partial(decide, levels))
             self._second = PartTests(*(test and keep(test) for test in levels.second))
         self._order = bisection_order(most_intervals(robot, resolution))
         self._resolution = resolution
@@ -88,24 +91,36 @@ class SequenceTester:
         padded = jax.tree.map(lambda x: np.asarray(x)[rows], scenes)
         many = room * _FIRST_STRETCH > _BLOCKS[1]
         placed = self._place(padded)
-        return PlacedScenes(without_leaves(placed), placed, scenes.mask.shape[1], many)
+        numbers = np.arange(scenes.mask.shape[1], dtype=np.int32)
+        return PlacedScenes(without_leaves(placed), placed, numbers, many)
 
     def warm_up(self, placed: PlacedScenes, num_dof: int) -> None:
         """Compiles what testing in these scenes may need."""
-        blocks = _blocks_for(placed)
-        for block in blocks:
-            rows = np.zeros((block // _TILE, _TILE, num_dof), np.float32)
-            jax.block_until_ready(self._check(placed.scenes, np.zeros(len(rows), np.int32), rows))
+        blocks, one_call = _blocks_for(placed), self._in_one_call(placed)
+        if one_call is not None:
+            rows = np.zeros((_BLOCKS[1] // _TILE, _TILE, num_dof), np.float32)
+            nobody = np.zeros(rows.shape[:2], np.int32)
+            asked = placed.numbers, nobody[:, 0], rows, nobody, nobody > 0
+            jax.block_until_ready(one_call(placed.scenes, *asked))
+        else:
+            for block in blocks:
+                rows = np.zeros((block // _TILE, _TILE, num_dof), np.float32)
+                owner = np.zeros(len(rows), np.int32)
+                jax.block_until_ready(self._check(placed.scenes, owner, rows))
         if self._second is not None:
             for block in _OPEN_BLOCKS[: len(blocks) - 1]:
                 rows, owner = np.zeros((block, num_dof), np.float32), np.zeros(block, np.int32)
-                apart = self._second.clear_of_obstacles(
-                    placed.scenes, owner, owner, rows, owner > 0
-                )
-                jax.block_until_ready((apart, self._second.clear_of_itself(rows, owner > 0)))
+                asked = owner, rows, owner > 0
+                jax.block_until_ready(self._second.clear_of_itself(*asked[1:]))
+                if one_call is None:
+                    apart = self._second.clear_of_obstacles(placed.scenes, owner, *asked)
+                    jax.block_until_ready(apart)
                 if self._second.clear_of_cloud is not None:
-                    asked = owner, rows, owner > 0
                     jax.block_until_ready(self._second.clear_of_cloud(placed.with_points, *asked))
+
+    def _in_one_call(self, placed: PlacedScenes) -> Kept | None:
+        """What decides on both levels, of few problems."""
+        return None if placed.many else self._decide
 
     def __call__(
         self, placed: PlacedScenes, items: Items, num: int, clock: Clock | None = None
@@ -138,7 +153,7 @@ class SequenceTester:
             fraction = (point / intervals[item]).astype(np.float32)[:, None]
             q = low[item] + fraction * (high[item] - low[item])
             bad = np.flatnonzero(~self._test(placed, items.owner[item], q, of, clock))
-            hit, where = np.unique(of[bad], return_index=True)
+            hit, where = firsts(of[bad])
             tested = size.copy()
             tested[hit] = step[bad[where]] + 1
             culprit[rows[hit]] = item[bad[where]]
@@ -190,7 +205,7 @@ class SequenceTester:
         Those that the first level leaves open are decided, but for what comes after one of the
         same sequence that is not valid.
         """
-        found = self._run_tiles(placed, owner, q, clock)
+        found = self._run_tiles(placed, owner, q, sequence, clock)
         self.computed += len(q)
         if self._second is None:
             return found
@@ -201,9 +216,12 @@ class SequenceTester:
         rows = np.flatnonzero(~valid & (np.arange(len(q)) < first[sequence]))
         if not len(rows):
             return valid
-        # The first ones of each sequence, and, where these hold, the others; a few at once.
-        _, begin, of = np.unique(sequence[rows], return_index=True, return_inverse=True)
-        early = (np.arange(len(rows)) - begin[of] < _EARLY) | (len(rows) <= _OPEN_BLOCKS[0])
+        if len(rows) <= _OPEN_BLOCKS[0]:
+            valid[rows] = self._run_open(placed, owner[rows], found[rows], q[rows], clock)
+            return valid
+        # The first ones of each sequence, and, where these hold, the others.
+        _, begin = firsts(sequence[rows])
+        early = np.arange(len(rows)) - np.repeat(begin, np.diff(begin, append=len(rows))) < _EARLY
         for some in (early, ~early):
             some = rows[some & (rows < first[sequence[rows]])]
             if not len(some):
@@ -214,11 +232,16 @@ class SequenceTester:
         return valid
 
     def _run_tiles(
-        self, placed: PlacedScenes, owner: np.ndarray, q: np.ndarray, clock: Clock
+        self,
+        placed: PlacedScenes,
+        owner: np.ndarray,
+        q: np.ndarray,
+        sequence: np.ndarray,
+        clock: Clock,
     ) -> np.ndarray:
-        """What the first level says of configurations."""
+        """What the first level says of configurations; of few problems, what `decide` does."""
         # Those that lie side by side and have an owner in common share tiles.
-        begin = np.flatnonzero(np.diff(owner, prepend=-1))
+        _, begin = firsts(owner)
         size = np.diff(begin, append=len(owner))
         tiles = -(-size // _TILE)
         first = np.cumsum(tiles) - tiles
@@ -227,10 +250,15 @@ class SequenceTester:
         rows = np.repeat(q[begin], _TILE * tiles, axis=0)  # what is left empty tests the first
         rows[place] = q
         rows = rows.reshape(len(owners), _TILE, q.shape[1])
+        one_call, asked = self._in_one_call(placed), (owners, rows)
         blocks = tuple(block // _TILE for block in _blocks_for(placed))
-        check = functools.partial(clock.call, self._check, placed.scenes)
-        found = _in_blocks(check, blocks, owners, rows)
-        return found.reshape(-1)[place]
+        function = functools.partial(clock.call, self._check, placed.scenes)
+        if one_call is not None:
+            of, wanted = np.zeros(rows.shape[:2], np.int32), np.zeros(rows.shape[:2], bool)
+            of.reshape(-1)[place], wanted.reshape(-1)[place] = sequence, True
+            function = functools.partial(clock.call, one_call, placed.scenes, placed.numbers)
+            blocks, asked = blocks[1:], (*asked, of, wanted)
+        return in_blocks(function, blocks, *asked).reshape(-1)[place]
 
     def _run_open(
         self,
@@ -247,48 +275,20 @@ class SequenceTester:
         rows = np.flatnonzero(words & ITSELF)
         if len(rows):
             function = functools.partial(clock.call, clear_of_itself)
-            free[rows] = _in_blocks(function, _OPEN_BLOCKS, q[rows], free[rows])
-        number = np.arange(placed.num_obstacles)
-        named = words[:, None] >> (number % OBSTACLE_BITS).astype(np.uint32) & 1 > 0
+            free[rows] = in_blocks(function, _OPEN_BLOCKS, q[rows], free[rows])
+        named = words[:, None] >> (placed.numbers % OBSTACLE_BITS).astype(np.uint32) & 1 > 0
         row, number = np.nonzero(named & free[:, None])
         if len(row):
             function = functools.partial(clock.call, clear_of_obstacles, placed.scenes)
             pairs = owner[row].astype(np.int32), number.astype(np.int32), q[row], free[row]
-            held = ~_in_blocks(function, _OPEN_BLOCKS, *pairs)
+            held = ~in_blocks(function, _OPEN_BLOCKS, *pairs)
             free[row[held]] = False
         rows = np.flatnonzero((words & CLOUD > 0) & free)
         if len(rows) and clear_of_cloud is not None:
             function = functools.partial(clock.call, clear_of_cloud, placed.with_points)
             asked = owner[rows].astype(np.int32), q[rows], free[rows]
-            free[rows] = _in_blocks(function, _OPEN_BLOCKS, *asked)
+            free[rows] = in_blocks(function, _OPEN_BLOCKS, *asked)
         return free
-
-
-def _in_blocks(
-    function: Callable[..., jax.Array], blocks: tuple[int, ...], *rows: np.ndarray
-) -> np.ndarray:
-    """What a function says of rows, asked in blocks of a few sizes; what is missing is zero."""
-    parts, begin, num = [], 0, len(rows[0])
-    while begin < num:
-        left = num - begin
-        block = next((b for b in blocks if left <= b), blocks[-1])
-        # Two calls of the middle size are less work than one that is mostly padding.
-        while block > blocks[0] and left <= block // 4:
-            block = blocks[blocks.index(block) - 1]
-        end = min(begin + block, num)
-        parts.append((end - begin, function(*(_filled(x[begin:end], block) for x in rows))))
-        begin = end
-    # All are on their way before the first is waited for.
-    return np.concatenate([np.asarray(found)[:num] for num, found in parts])
-
-
-def _filled(array: np.ndarray, num: int) -> np.ndarray:
-    """With zeros at the end, up to a number of rows."""
-    if len(array) == num:
-        return array
-    filled = np.zeros((num, *array.shape[1:]), array.dtype)
-    filled[: len(array)] = array
-    return filled
 
 
 def _blocks_for(placed: PlacedScenes) -> tuple[int, ...]:

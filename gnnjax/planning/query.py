@@ -11,7 +11,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import rest_fault, rests
 from gnnjax.collision.certify import check_scene
 from gnnjax.collision.clearances import base_clear, clearances
-from gnnjax.collision.obstacles import Obstacles, scene_faults
+from gnnjax.collision.obstacles import obstacles_of, scene_faults
 from gnnjax.errors import InputError, as_typed, one_line
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.allowed import check_allowed
@@ -99,7 +99,7 @@ def check_query(
     if doubt := doubtful_units(robot, scene):
         _LOG.warning("%s", doubt)
     query = jax.tree.map(lambda x: np.asarray(x)[None], Problem(ends[0], ends[1], scene))
-    (reason,) = check_queries(robot, query, margin)
+    (reason,) = _reasons(robot, query, [None], margin)
     if reason is not None:
         raise InputError(reason)
     return ends[0], ends[1]
@@ -116,7 +116,14 @@ def check_queries(robot: Robot, problems: Problem, margin: float = 0.0) -> list[
     Raises:
         InputError: arrays of other shapes, which are no problems at all.
     """
-    reasons = scene_faults(problems.scene)
+    return _reasons(robot, problems, scene_faults(problems.scene), margin)
+
+
+def _reasons(
+    robot: Robot, problems: Problem, faults: list[str | None], margin: float
+) -> list[str | None]:
+    """`check_queries`, where what is wrong with each scene is known."""
+    reasons = list(faults)
     wanted = (len(reasons), robot.num_dof)
     starts, goals = _single(problems.start), _single(problems.goal)
     if np.ndim(problems.scene.mask) != 2 or not starts.shape == goals.shape == wanted:
@@ -130,7 +137,7 @@ def check_queries(robot: Robot, problems: Problem, margin: float = 0.0) -> list[
     ends = np.concatenate([starts[rows], goals[rows]])
     owner = np.tile(np.arange(len(rows)), 2)
     check_allowed(robot, scenes)
-    known = Obstacles(scenes)  # which have no faults
+    known = obstacles_of(scenes)
     thick = inflated(scenes, margin) if margin else known
     clearance = clearances(robot, thick, ends, owner, most=0.0).reshape(2, -1)
     found = [

@@ -141,6 +141,8 @@ class PathPool(Pool):
         path[:, 0] = node = np.full(len(rows), START)
         for step in range(1, num_points):
             going = np.isfinite(cost[:, START]) & (node != GOAL)
+            if not going.any():
+                break
             node = np.where(going, following[every[:, 0], node], node)
             path[going, step] = node[going]
         on_path = (path >= 0) & (path == GOAL).any(axis=1)[:, None]
