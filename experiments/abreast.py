@@ -16,7 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
-from gnnjax.collision.checker import Checker, bisection_order, cut_edges, most_intervals
+from gnnjax.collision.checker import Checker
+from gnnjax.collision.edges import bisection_order, cut_edges, most_intervals
 from gnnjax.devices import platform
 from gnnjax.per_object import per_object
 from gnnjax.planning.guided import Guided

@@ -9,7 +9,8 @@ import gnnjax.interruption  # noqa: F401  first: from here on a command can be i
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.certify import certify_edges, certify_path
-from gnnjax.collision.checker import Checker, EdgeChecks, make_checker
+from gnnjax.collision.checker import Checker, make_checker
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide

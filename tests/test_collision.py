@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.checker import EDGE_RESOLUTION, _check_edges, bisection_order, make_checker
+from gnnjax.collision.checker import EDGE_RESOLUTION, _check_edges, make_checker
+from gnnjax.collision.edges import bisection_order
 from gnnjax.collision.exact import SIMPLER
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError

@@ -41,8 +41,8 @@ scene.pose scene.held scene.holding scene.messages scene.collision_objects
 scene.moveit scene.from_mjcf scene.any_file
 collision.spheres collision.simplex collision.convex collision.exact collision.components
 collision.obstacles collision.hulls collision.bounds collision.link_frames
-collision.fused collision.mjx collision.points collision.cloud collision.stretches
-collision.checker collision.blocks collision.one_call collision.sequences
+collision.fused collision.mjx collision.points collision.cloud collision.edges
+collision.stretches collision.checker collision.blocks collision.one_call collision.sequences
 collision.gaps collision.certify collision.clearances collision.margins
 roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
 plot

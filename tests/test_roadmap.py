@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.checker import EdgeChecks
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.problems.labelled import label_roadmap
 from gnnjax.roadmap.graph import connect, radius_for_degree, reverse_slots

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from gnnjax.collision.checker import EdgeChecks
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.devices import map_first
 from gnnjax.roadmap.graph import GOAL, START, connect
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge, nothing_known

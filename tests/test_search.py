@@ -10,7 +10,7 @@ from flax import nnx
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from gnnjax.collision.checker import EdgeChecks
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.paper.strategy import network_scorer
 from gnnjax.problems.labelled import label_roadmap

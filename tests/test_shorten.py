@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from gnnjax.collision.checker import EdgeChecks
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.roadmap.graph import GOAL
 from gnnjax.search.knowledge import INVALID
 from gnnjax.search.shorten import path_roadmap, search_shortened, shortened, spread_evenly

@@ -15,8 +15,9 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
 from gnnjax.collision.blocks import firsts, in_blocks
-from gnnjax.collision.checker import Checker, bisection_order, most_intervals
+from gnnjax.collision.checker import Checker
 from gnnjax.collision.cloud import without_leaves
+from gnnjax.collision.edges import bisection_order, most_intervals
 from gnnjax.collision.exact import PartTests
 from gnnjax.collision.one_call import decide
 from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, OBSTACLE_BITS

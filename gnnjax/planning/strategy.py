@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.checker import EdgeChecks
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import Roadmap, default_radius

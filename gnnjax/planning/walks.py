@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.checker import EdgeChecks, make_checker
+from gnnjax.collision.checker import make_checker
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.devices import map_first, marked_first
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Progress

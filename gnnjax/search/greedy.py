@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int8
 
-from gnnjax.collision.checker import EdgeChecks
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, reverse_slots
 from gnnjax.search.knowledge import UNKNOWN, VALID, SearchResult, learn_edge, unknown_edges
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from gnnjax.collision.checker import EdgeChecks
+from gnnjax.collision.edges import EdgeChecks
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, reverse_slots
 from gnnjax.roadmap.paths import cost_to_go, follow, next_slots
 from gnnjax.search.knowledge import (
