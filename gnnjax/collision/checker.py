@@ -1,6 +1,6 @@
 """Validity of configurations and edges: fused kernels, and their first level through MJX.
 
-A `Checker` is three pure functions for one scene; `vmap` them over scenes. The fused backend
+A `Checker` is pure functions for one scene; `vmap` them over scenes. The fused backend
 generates straight-line code from the robot's constants (see `kinematics.py`); the MJX backend runs
 MuJoCo's own collision functions on the spheres that the fused one tests first.
 
