@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision.checker import EDGE_RESOLUTION, _check_edges, make_checker
+from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
 from gnnjax.collision.edges import bisection_order
+from gnnjax.collision.edges import test_edges as cut_and_test
 from gnnjax.collision.exact import SIMPLER
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
@@ -328,7 +329,7 @@ def test_edges_leave_no_gap_wider_than_the_resolution():
             jnp.full((1, 3), target), jnp.ones((1, 3)), jnp.ones((1, 4)), jnp.ones(1, bool)
         )
         start, end = jnp.zeros((1, 1)), jnp.full((1, 1), length)
-        return _check_edges(check, order, EDGE_RESOLUTION, scene, start, end)
+        return cut_and_test(check, order, EDGE_RESOLUTION, scene, start, end)
 
     lengths = np.random.default_rng(6).uniform(0.06, 3.9, 40).astype(np.float32)
     lengths = np.repeat(lengths, 50)
