@@ -222,10 +222,8 @@ def _again(results: Row) -> str:
     """How often planners had to be told of the payload, by results that tell it."""
     if "rest_share" not in results["settings"]:
         return ""
-    number, share = (
-        sum(row["again"] for row in results["rows"]),
-        results["settings"]["rest_share"],
-    )
+    number = sum(row["again"] for row in results["rows"])
+    share = results["settings"]["rest_share"]
     return (
         f"Of {number} paths that lead through what the arm cannot hold, planners were told to rest "
         f"within {100 * share:g} % of the torques, and planned again (`at_rest_within`). "

@@ -107,6 +107,16 @@ def test_edges(
     return test(check_configurations, order, resolution, scene, starts, ends)
 
 
+def _first_blocked(
+    wanted: Bool[Array, "E B"], free: Bool[Array, "E B"]
+) -> tuple[Bool[Array, " E"], Int[Array, " E"]]:
+    """Whether one of the wanted configurations is not free, and how many there are up to the first
+    that is not."""
+    hit = wanted & ~free
+    refuted = jnp.any(hit, axis=-1)
+    return refuted, jnp.where(refuted, jnp.argmax(hit, axis=-1) + 1, wanted.sum(axis=-1))
+
+
 def _test_few(
     check_configurations: Callable[[Scene, jax.Array], jax.Array],
     order: np.ndarray,
@@ -133,9 +143,7 @@ def _test_few(
         fraction = point / intervals[:, None].astype(starts.dtype)
         q = low[:, None] + fraction[..., None] * (high - low)[:, None]
         free = check_configurations(scene, q.reshape(-1, num_dof)).reshape(num_edges, block)
-        hit = wanted & ~free
-        refuted = jnp.any(hit, axis=-1)
-        tested = jnp.where(refuted, jnp.argmax(hit, axis=-1) + 1, wanted.sum(axis=-1))
+        refuted, tested = _first_blocked(wanted, free)
         return done + block, valid & ~refuted, num_checks + jnp.where(valid, tested, 0)
 
     zeros = jnp.zeros(num_edges, jnp.int32)
@@ -184,9 +192,7 @@ def _test_many(
         fraction = point / intervals[at][:, None].astype(starts.dtype)
         q = low[at][:, None] + fraction[..., None] * (high - low)[at][:, None]
         valid_here = check_configurations(scene, q.reshape(-1, num_dof)).reshape(step.shape)
-        hit = wanted & ~valid_here
-        refuted = jnp.any(hit, axis=-1)
-        tested = jnp.where(refuted, jnp.argmax(hit, axis=-1) + 1, wanted.sum(axis=-1))
+        refuted, tested = _first_blocked(wanted, valid_here)
         valid = valid.at[jnp.where(refuted, edge, nobody)].set(False, mode="drop")
         num_checks = num_checks.at[edge].add(tested, mode="drop")
         done = done + _MANY_STRETCH

@@ -22,6 +22,7 @@ from gnnjax.collision.spheres import (
     Passes,
     Placed,
     moved_by_joint,
+    names,
     place,
     sphere_centers,
 )
@@ -227,8 +228,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         def clear_of_named(placed, owner, words, q, clear, second=second):
             """Which are clear of the obstacles that words name, of those that are `clear`."""
             number = jnp.arange(len(placed.origins))[:, None]
-            named = words >> (number % OBSTACLE_BITS).astype(jnp.uint32) & 1 > 0
-            named &= clear
+            named = names(words, number) & clear
 
             def some_pairs(state):
                 left, clear = state

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from gnnjax.collision.fused import Levels
-from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, OBSTACLE_BITS
+from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, names
 
 _AT_ONCE = 64  # configurations that the first level sees together
 _OPEN_AT_ONCE = 32  # pairs of a configuration and an obstacle that the second does
@@ -55,7 +55,7 @@ def decide(
     of, wanted = jnp.clip(sequence - sequence[0, 0], 0, num - 1).reshape(-1), wanted.reshape(-1)
     blocked = wanted & (words >= BLOCKED)
     end = jnp.full(num, num).at[of].min(jnp.where(blocked, place, num))  # of a sequence
-    named = (words[:, None] >> (number % OBSTACLE_BITS).astype(jnp.uint32)) & 1 > 0
+    named = names(words[:, None], number)
 
     def some_left(state: tuple[jax.Array, jax.Array]) -> jax.Array:
         return jnp.any(state[0])

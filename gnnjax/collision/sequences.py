@@ -20,7 +20,7 @@ from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.edges import bisection_order, most_intervals
 from gnnjax.collision.exact import PartTests
 from gnnjax.collision.one_call import decide
-from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, OBSTACLE_BITS
+from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, names
 from gnnjax.kept import Kept, keep
 from gnnjax.scene.scene import Scene
 
@@ -277,8 +277,7 @@ class SequenceTester:
         if len(rows):
             function = functools.partial(clock.call, clear_of_itself)
             free[rows] = in_blocks(function, _OPEN_BLOCKS, q[rows], free[rows])
-        named = words[:, None] >> (placed.numbers % OBSTACLE_BITS).astype(np.uint32) & 1 > 0
-        row, number = np.nonzero(named & free[:, None])
+        row, number = np.nonzero(names(words[:, None], placed.numbers) & free[:, None])
         if len(row):
             function = functools.partial(clock.call, clear_of_obstacles, placed.scenes)
             pairs = owner[row].astype(np.int32), number.astype(np.int32), q[row], free[row]

@@ -6,7 +6,7 @@ out of a table once a group, and all configurations of the group are computed si
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,14 @@ FAR = 1e6  # m; where obstacles are that do not exist
 # BLOCKED where they prove a contact.
 OBSTACLE_BITS = 29
 CLOUD, ITSELF, BLOCKED = (np.uint32(1 << bit) for bit in (29, 30, 31))
+
+
+_Numbers = TypeVar("_Numbers", jax.Array, np.ndarray)
+
+
+def names(words: _Numbers, number: _Numbers) -> _Numbers:
+    """Whether words leave open that obstacles of such numbers are touched; both are broadcast."""
+    return words >> (number % OBSTACLE_BITS).astype(np.uint32) & 1 > 0
 
 
 class Placed(NamedTuple):

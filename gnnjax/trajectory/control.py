@@ -56,7 +56,7 @@ def computed_torque(robot: Robot, points: Setpoints) -> Law:
     weighted by the inertia where the arm should be."""
     rates = np.full(robot.num_dof, _BANDWIDTH)
     inertia = inertias(robot, points.positions)
-    before = _weight(robot, points.positions[:1])[0]
+    before = torques_at_rest(robot, points.positions[:1])[0]
     return Law(before, points.torques, inertia, rates**2, 2 * rates, points.velocities)
 
 
@@ -69,7 +69,7 @@ def position_servos(robot: Robot, points: Setpoints) -> Law:
     velocity that is wanted, the arm comes `kd / kp` late: that is what such servos do.
     """
     still = np.zeros_like(points.positions)
-    weight = _weight(robot, points.positions)
+    weight = torques_at_rest(robot, points.positions)
     kp, kd = _servo_gains(robot)
     same = np.broadcast_to(np.eye(robot.num_dof), (len(still), *2 * (robot.num_dof,)))
     return Law(weight[0], weight, same, kp, kd, still)
@@ -92,11 +92,6 @@ def inertias(robot: Robot, q: np.ndarray) -> np.ndarray:
         mujoco.mj_crb(model, data)
         mujoco.mj_fullM(model, data, found[row])
     return found
-
-
-def _weight(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Torques `[B D]` that hold the model at q `[B D]`."""
-    return torques_at_rest(robot, q)
 
 
 def _servo_gains(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
