@@ -211,7 +211,7 @@ def on_all_cores(function: Callable, args: Any) -> Any:
     def part(first: int, count: int) -> Any:
         rows = np.minimum(np.arange(first, first + room), num - 1)
         with jax.default_device(home):
-            found = function(count, jax.tree.map(lambda x: x[rows], args))
+            found = function(np.int32(count), jax.tree.map(lambda x: x[rows], args))
             return jax.tree.map(lambda x: np.asarray(x)[:count], found)
 
     if cores > 1:  # or each thread would compile it

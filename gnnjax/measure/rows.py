@@ -9,6 +9,7 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.devices import map_first, on_all_cores
+from gnnjax.kept import keep
 from gnnjax.planning.query import Plan
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import is_axis_aligned
@@ -77,4 +78,4 @@ def _blocked(robot: Robot, on_mjx: bool, axis_aligned: bool) -> Callable[..., ja
         ends = problem.start[None], problem.goal[None]
         return ~check.check_edges(problem.scene, *ends).valid[0]
 
-    return jax.jit(functools.partial(map_first, blocked))
+    return keep(functools.partial(map_first, blocked))

@@ -14,6 +14,7 @@ from gnnjax.collision.checker import Backend, Checker, make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.devices import map_first, on_all_cores
 from gnnjax.errors import InputError
+from gnnjax.kept import keep
 from gnnjax.problems.families import FAMILIES, FamilyName
 from gnnjax.problems.family_problem import sample_family_problem
 from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
@@ -84,12 +85,12 @@ def generate_labelled(
         problem, found = draw(problem_key)
         return label(roadmap_key, problem) if num_nodes else problem, found
 
-    @jax.jit
-    def compiled(num: jax.Array, keys: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:
-        return map_first(one, num, keys)
+    @keep
+    def compiled(num: jax.Array, bits: jax.Array) -> tuple[Problem | LabelledRoadmap, jax.Array]:
+        return map_first(one, num, jax.random.wrap_key_data(bits))
 
     def generate(keys: jax.Array) -> Problem | LabelledRoadmap:
-        drawn, found = on_all_cores(compiled, keys)
+        drawn, found = on_all_cores(compiled, jax.random.key_data(keys))
         if not np.all(found):
             raise InputError(
                 f"no start and goal for {int((~np.asarray(found)).sum())} of {len(keys)} problems "
