@@ -18,6 +18,7 @@ from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.planning.load import make_planner
 from gnnjax.problems.shards import load_problems
+from gnnjax.scene.holding import load_arm
 
 SEEDS = (0, 1, 2)
 
@@ -125,7 +126,7 @@ def _run_seed(case: EvaluateConfig, seed: int, runs: Path) -> dict[str, Any]:
 @functools.lru_cache(maxsize=4)
 def _planner(settings: EvaluateConfig) -> Any:
     """One planner for all seeds and sets, so that it is compiled once."""
-    return make_planner(load_robot(settings.robot), settings)
+    return make_planner(load_arm(settings.robot, settings.attach, settings.rest_share), settings)
 
 
 # Settings that file names tell in other ways, and those that change no row.

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from gnnjax.arguments import parse_arguments
-from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_command
 from gnnjax.files import check_target, locked
@@ -45,7 +44,7 @@ from gnnjax.planning.processes import LEAST_SHARE, PlannerProcesses
 from gnnjax.planning.query import QueryPlanner
 from gnnjax.problems.shards import StoredProblems
 from gnnjax.roll_call import RollCall
-from gnnjax.scene.holding import attach_from_json
+from gnnjax.scene.holding import load_arm
 
 _WRITE_EVERY_S = 1.0
 
@@ -104,7 +103,9 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     check_seed(config.seed)
     check_target(config.json)
     place = config.cluster.place()
-    planner = planner or make_planner(_arm(config), config)
+    planner = planner or make_planner(
+        load_arm(config.robot, config.attach, config.rest_share), config
+    )
     problems = StoredProblems(config.problems, planner.robot)
     num = min(len(problems), config.num_problems or len(problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
@@ -160,13 +161,6 @@ def _check_processes(config: EvaluateConfig) -> None:
             f"processes is {num} with batch_size {config.batch_size}; they share out a batch, "
             f"which needs at least {LEAST_SHARE} problems for each of them"
         )
-
-
-def _arm(config: EvaluateConfig) -> Robot:
-    robot = load_robot(config.robot)
-    if config.attach is not None:
-        robot = attach_from_json(robot, config.attach)
-    return robot if config.rest_share is None else robot.at_rest_within(config.rest_share)
 
 
 # What results share that a picture compares.

@@ -9,10 +9,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from gnnjax.arguments import parse_arguments
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.scene.any_file import read_scene
-from gnnjax.scene.holding import attach_from_json
+from gnnjax.scene.holding import load_arm
 from gnnjax.trajectory.execution import Execution, execute_trajectory, motion_clearance
 from gnnjax.trajectory.files import load_trajectory
 from gnnjax.trajectory.simulate import ModelErrors
@@ -58,9 +58,7 @@ class ExecuteConfig:
 def main(config: ExecuteConfig) -> int:
     """Simulates, prints what became of the motion and writes the files; returns 1 where something
     was touched, or the arm does not arrive."""
-    robot = load_robot(config.robot)
-    if config.attach is not None:
-        robot = attach_from_json(robot, config.attach)
+    robot = load_arm(config.robot, config.attach)
     points = load_trajectory(robot, config.trajectory)
     scene = read_scene(config.scene, robot)
     draw = None

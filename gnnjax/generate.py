@@ -19,7 +19,7 @@ import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.arguments import parse_arguments
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.collision.checker import Backend
 from gnnjax.devices import cache_compilations
@@ -47,7 +47,7 @@ from gnnjax.problems.shards import (
     shard_name,
 )
 from gnnjax.roll_call import Place
-from gnnjax.scene.holding import attach_from_json
+from gnnjax.scene.holding import load_arm
 
 _ORIGIN = "generated"  # array of a single file that says what the manifest says of a folder
 
@@ -85,11 +85,7 @@ class GenerateConfig:
 
 def generate(config: GenerateConfig) -> Path:
     """Draws what is missing of a set, shard by shard, and returns where it is."""
-    robot = load_robot(config.robot)
-    if config.attach is not None:
-        robot = attach_from_json(robot, config.attach)
-    if config.rest_share is not None:
-        robot = robot.at_rest_within(config.rest_share)
+    robot = load_arm(config.robot, config.attach, config.rest_share)
     num = SPLITS[config.split][1] if config.num_problems is None else config.num_problems
     nodes = (0 if config.split == "test" else 200) if config.num_nodes is None else config.num_nodes
     if num < 1 or config.shard_size < 1:

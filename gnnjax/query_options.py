@@ -6,13 +6,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import Amounts
 from gnnjax.errors import InputError
 from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
 from gnnjax.problems.moveit import query_from_moveit
 from gnnjax.scene.any_file import read_scene
-from gnnjax.scene.holding import attach_from_json
+from gnnjax.scene.holding import load_arm
 from gnnjax.scene.scene import Scene, make_scene
 
 
@@ -54,11 +54,7 @@ class QueryOptions:
 def read_robot(options: QueryOptions, torque: Amounts | None = None) -> Robot:
     """The arm, with what it holds, and the share of torques that may hold it: of those of its
     model, or of `torque`."""
-    robot = load_robot(options.robot)
-    if options.attach is not None:
-        robot = attach_from_json(robot, options.attach)
-    share = options.rest_share
-    return robot if share is None else robot.at_rest_within(share, torque=torque)
+    return load_arm(options.robot, options.attach, options.rest_share, torque=torque)
 
 
 def read_query(
