@@ -85,6 +85,8 @@ def _gaps_to(
     sphere, moment, thing, gap, motion = _spheres_of(
         found, obstacles.distances, body, at, rates, frames, middles
     )
+    if (gap > motion).all():
+        return _clear(moment, gap, motion)
     part = body.part[sphere]
 
     def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
@@ -114,6 +116,8 @@ def _gaps_to_clouds(
         return obstacles.cloud_distances(points, scene)  # of a scene's only cloud
 
     sphere, moment, _, gap, motion = _spheres_of(found, distances, body, at, rates, frames, middles)
+    if (gap > motion).all():
+        return _clear(moment, gap, motion)
     part = body.part[sphere]
 
     def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
@@ -185,6 +189,8 @@ def _gaps_within(
     )
     gap = np.sqrt(between) - body.radii[first] - body.radii[second]
     motion = _pick(rates.pairs, pair, at.motion[moment]) * at.share[moment] + _ROUNDING
+    if (gap > motion).all():
+        return _clear(moment, gap, motion)
     part, other = body.part[first], body.part[second]
 
     def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
@@ -198,6 +204,11 @@ def _gaps_within(
     of_parts = _pick(rates.part_pairs, number, at.motion[moment]) * at.share[moment] + _ROUNDING
     key = moment * max(1, len(body.part_pair_reach)) + number
     return _looked_at_closely(moment, gap, motion, most, of_parts, key, ask)
+
+
+def _clear(moment: np.ndarray, gap: np.ndarray, motion: np.ndarray) -> Gaps:
+    """Gaps of spheres that leave nothing open, as they mostly do: parts need no look."""
+    return Gaps(moment, gap, motion, np.zeros(len(gap), bool))
 
 
 def _looked_at_closely(

@@ -156,11 +156,11 @@ class Hulls:
         # putting them on the device one by one.
         num, found = len(pairs[0]), []
         leaves, tree = jax.tree.flatten(pairs)
+        leaves = [x.astype(np.int32 if x.dtype.kind == "i" else np.float32) for x in leaves]
         for first in range(0, num, _PAIRS_A_CALL):
             # The first of them again until the call is full.
             rows = first + np.arange(_PAIRS_A_CALL) % min(num - first, _PAIRS_A_CALL)
-            own = [x.astype(np.int32 if x.dtype.kind == "i" else np.float32) for x in leaves]
-            own = jax.tree.unflatten(tree, [x.take(rows, axis=-1) for x in own])
+            own = jax.tree.unflatten(tree, [x.take(rows, axis=-1) for x in leaves])
             found.append(separate(self._parts, *own).directions)
         return np.concatenate([np.asarray(x) for x in found], axis=1)[:, :num].astype(float)
 

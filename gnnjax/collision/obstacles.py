@@ -154,10 +154,10 @@ def scene_faults(scenes: Scene) -> list[str | None]:
     """
     mask, centers, half_extents, quats, radii = _arrays(scenes)
     with np.errstate(over="ignore", invalid="ignore"):
-        norms = np.linalg.norm(quats, axis=2, keepdims=True)
+        norms = np.sqrt(np.add.reduce(quats * quats, axis=2, keepdims=True))
     # Written so that NaN fails. A sum may be of no kind of ours: a box with a margin around it.
     sizes = np.concatenate([half_extents, radii], axis=2)
-    x, y, z, disc, ball = np.moveaxis(sizes > 0, 2, 0)
+    x, y, z, disc, ball = (sizes > 0).transpose(2, 0, 1)
     solid = (ball | (z & (disc | (x & y))))[..., None] & (sizes >= 0)
     rules = (
         ("centers", centers, "finite", np.abs(centers) <= _MOST_METERS),
@@ -171,7 +171,9 @@ def scene_faults(scenes: Scene) -> list[str | None]:
     )
     faults: list[str | None] = [None] * len(mask)
     for name, values, rule, good in rules:
-        bad = mask & ~good.all(axis=2)
+        bad = mask & ~np.logical_and.reduce(good, axis=2)
+        if not bad.any():
+            continue
         for i in np.flatnonzero(bad.any(axis=1)):
             which = bad[i].argmax()
             faults[i] = faults[i] or (
