@@ -69,14 +69,25 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
     couples = jax.device_put(robot.part_pairs.T.astype(np.int32))
     radii, part_of, pair_of = robot.geom_radii.tolist(), robot.geom_parts.tolist(), _pairs(robot)
 
-    def touching(obstacle: Obstacle, q: Float[Array, "N D"]) -> UInt[Array, "W N"]:
+    def touching(
+        obstacle: Obstacle, q: Float[Array, "N D"], turns: jax.Array
+    ) -> UInt[Array, "W N"]:
         """Bit p % WORD of word p // WORD: spheres of part p touch the obstacle."""
-        found = [jnp.zeros(len(q), jnp.uint32)] * -(-len(bodies) // WORD)
-        for g, squared, ball in passes.to_obstacle(joint_terms(robot, q), obstacle):
-            word, bit = divmod(part_of[g], WORD)
-            hit = ~(squared > (radii[g] + ball) ** 2)
-            found[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
-        return jnp.stack(found)
+        joints = joint_terms(robot, q)
+
+        def turn(_, words: list[jax.Array]) -> list[jax.Array]:
+            fresh, words = jax.lax.optimization_barrier((joints, words))
+            words = list(words)
+            for g, squared, ball in passes.to_obstacle(fresh, obstacle):
+                word, bit = divmod(part_of[g], WORD)
+                hit = ~(squared > (radii[g] + ball) ** 2)
+                words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
+            return words
+
+        # One turn or none, which the compiler must not know: outside of a loop it computes every
+        # sphere's distance apart, each from the base on, and bits of parts from those.
+        words = [jnp.zeros(len(q), jnp.uint32)] * -(-len(bodies) // WORD)
+        return jnp.stack(jax.lax.fori_loop(0, turns, turn, words))
 
     def touching_itself(q: Float[Array, "C D"], turns: jax.Array) -> UInt[Array, "V C"]:
         """Bit u % WORD of word u // WORD: spheres of the two of `Robot.part_pairs[u]` touch."""
@@ -119,7 +130,8 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
             shapes = convex.Obstacles(obstacle.half_extents[:, lane], disc, ball)
             return convex.separate_obstacles(hulls, part, position, rotation, shapes).gaps
 
-        return test_pairs(bits_of(touching(obstacle, q), len(bodies)) & wanted, gaps)
+        words = touching(obstacle, q, jnp.any(wanted).astype(jnp.int32))
+        return test_pairs(bits_of(words, len(bodies)) & wanted, gaps)
 
     def clear_of_itself(q: Float[Array, "N D"], wanted: Bool[Array, " N"]) -> Bool[Array, " N"]:
         frames = part_frames(robot, q)
