@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from experiments.published import VAMP_PLAN_S
 from experiments.results import Row
 from experiments.style import COLORS, label
-from experiments.tables import cell, markdown, seconds
+from experiments.tables import cell, made_on, markdown, seconds
 
 OWN = ("guided", "guided_roadmap")
 RIVALS = {"guided": "ompl:rrt_connect@simplified", "guided_roadmap": "ompl:rrt_connect"}
@@ -67,8 +67,7 @@ def table(results: Row) -> str:
         f"{settings['num_problems']} distinct problems of {settings['set']}.npz, shared by "
         f"{settings['processes']} processes; RRT-Connect takes at most "
         f"{settings['time_limit']:g} s a problem. Pools of one plan the first "
-        f"{settings['singles']} problems in one process. {machine['processor']}, "
-        f"{machine['cores']} cores, jax {machine['jax']}, gnnjax {machine['gnnjax']}. A process "
+        f"{settings['singles']} problems in one process. {made_on(machine)}. A process "
         f"that plans {memory['pool']} problems at once needs {memory['MiB']:.0f} MiB at most. "
         f"VAMP's own figures, on another machine and other problems (C++ with SIMD, the Panda in "
         f"MotionBenchMaker's scenes): {seconds(VAMP_PLAN_S['first path'])} a plan, "

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from experiments.results import Row
 from experiments.style import COLORS, label
-from experiments.tables import cell, markdown
+from experiments.tables import cell, made_on, markdown
 
 OWN = "guided"
 RIVALS = ("ompl:rrt_connect", "ompl:rrt_connect@simplified", "ompl:bit_star")
@@ -51,8 +51,7 @@ def table(results: Row) -> str:
         f"{settings['robot']}; a problem is valid if both ends are free. OMPL in "
         f"{settings['processes']} processes, at most {settings['time_limit']:g} s a problem; "
         f"{OWN} one problem at a time, but plans/s with all of a scene at once. "
-        f"{machine['processor']}, {machine['cores']} cores, jax {machine['jax']}, gnnjax "
-        f"{machine['gnnjax']}.\n"
+        f"{made_on(machine)}.\n"
     )
     head = "scene,planner,problems,valid,solved of all %,of valid %,certified of all %".split(",")
     head += ["cost (mean)", "where guided solves, too", "configuration checks (median)"]

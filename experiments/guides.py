@@ -33,7 +33,7 @@ from experiments.measure import ExperimentConfig, problem_set
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import summarize_seeds
-from experiments.tables import cell, listing, markdown, span
+from experiments.tables import cell, listing, made_on, markdown, span
 from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError
@@ -189,7 +189,7 @@ def table(results: Row) -> str:
         f"stored roadmap between free nodes, in {settings['scenes']} scenes; microseconds an edge "
         "of a lone scene, one by one / all edges from a table. The field without its table is the "
         "same guide as the field, looked at as a network is. "
-        f"{machine['processor']}, {machine['cores']} cores, jax {machine['jax']}.\n"
+        f"{made_on(machine)}.\n"
     ]
     head = ["guide", "area", "log loss", "us an edge", "solved, %", "edge checks, mean"]
     head += ["configuration checks, mean", "median", "cost, mean", "total, ms, median", "mean"]

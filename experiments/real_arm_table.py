@@ -12,7 +12,7 @@ from experiments.record import Finding, judge
 from experiments.results import Row
 from experiments.statistics import proportion
 from experiments.style import draw_bars, label
-from experiments.tables import cell, interval, listing, markdown
+from experiments.tables import cell, interval, listing, made_on, markdown
 
 _NEARLY = 0.99  # of all problems
 
@@ -76,7 +76,7 @@ def table(results: Row) -> str:
         f"N m of dry friction in each joint, and torques come {1e3 * settings['delay']:g} ms late; "
         "controller: computed torque. Proven: no point of the arm strayed from the curve by as "
         "much as that is proven to keep from all obstacles. Errors are largest ones of a motion. "
-        f"{machine['processor']}, {machine['cores']} cores, gnnjax {machine['gnnjax']}.\n"
+        f"{made_on(machine)}.\n"
     )
     head = "arm,problems,planner,payload [kg],drawn,accepted,found by any,found,held,timed,touched"
     columns = [*head.split(","), "swings", "not at rest", "proven", "suitable"]

@@ -86,9 +86,15 @@ def measured_on(results: Row, row: Row) -> str:
         f"{num} problems, {num - summary['num_invalid']} of them valid "
         f"({summary['num_invalid']} have an end in collision) and "
         f"{summary['hard']['num_problems']} hard; {summary['num_seeds']} seeds. "
-        f"{machine['processor']}, {machine['cores']} cores, jax {machine['jax']}, gnnjax "
-        f"{machine['gnnjax']}."
+        f"{made_on(machine)}."
     )
+
+
+def made_on(machine: Row) -> str:
+    """Where results come from: processor, cores that the process could use, and versions."""
+    num = machine["cores"]
+    cores = "1 core" if num == 1 else f"{num} cores"
+    return f"{machine['processor']}, {cores}, jax {machine['jax']}, gnnjax {machine['gnnjax']}"
 
 
 def span(values: Iterable[float], form: str, scale: float = 1) -> str:
