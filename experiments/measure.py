@@ -14,11 +14,9 @@ from experiments.commands import command_line
 from experiments.statistics import column, statistics, summarize_seeds
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig, evaluate
+from gnnjax.evaluate import EvaluateConfig, evaluate, planner_for
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.planning.load import make_planner
 from gnnjax.problems.shards import load_problems
-from gnnjax.scene.holding import load_arm
 
 SEEDS = (0, 1, 2)
 
@@ -123,10 +121,8 @@ def _run_seed(case: EvaluateConfig, seed: int, runs: Path) -> dict[str, Any]:
     return evaluate(case, _planner(settings))
 
 
-@functools.lru_cache(maxsize=4)
-def _planner(settings: EvaluateConfig) -> Any:
-    """One planner for all seeds and sets, so that it is compiled once."""
-    return make_planner(load_arm(settings.robot, settings.attach, settings.rest_share), settings)
+# One planner for all seeds and sets, so that it is compiled once.
+_planner = functools.lru_cache(maxsize=4)(planner_for)
 
 
 # Settings that file names tell in other ways, and those that change no row.

@@ -86,6 +86,11 @@ class EvaluateConfig(PlannerOptions):
     cluster: Cluster = ALONE
 
 
+def planner_for(config: EvaluateConfig) -> QueryPlanner:
+    """The planner that a configuration asks for, for the arm with what it holds."""
+    return make_planner(load_arm(config.robot, config.attach, config.rest_share), config)
+
+
 def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dict[str, Any]:
     """Plans what is missing of a set's results, and returns them all as they are in the file; of
     several processes, to the first one alone.
@@ -103,9 +108,7 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     check_seed(config.seed)
     check_target(config.json)
     place = config.cluster.place()
-    planner = planner or make_planner(
-        load_arm(config.robot, config.attach, config.rest_share), config
-    )
+    planner = planner or planner_for(config)
     problems = StoredProblems(config.problems, planner.robot)
     num = min(len(problems), config.num_problems or len(problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))

@@ -60,7 +60,7 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
         asked.append(options)
         return planner
 
-    monkeypatch.setattr("experiments.measure.make_planner", make_planner)
+    monkeypatch.setattr("gnnjax.evaluate.make_planner", make_planner)
     trainings = []
 
     def traced_step(*args):
@@ -125,7 +125,7 @@ def test_a_network_that_adds_nothing_is_found_out(tiny_path, tmp_path, monkeypat
     folders = {key: tmp_path / key for key in ("data", "runs", "trained", "results")}
     config = converged.ConvergedConfig(quick=True, robot=str(tiny_path), **folders)
     planner = load_planner(tiny_path, "distance", num_nodes=30, max_roadmaps=1)
-    monkeypatch.setattr("experiments.measure.make_planner", lambda robot, options: planner)
+    monkeypatch.setattr("gnnjax.evaluate.make_planner", lambda robot, options: planner)
     trainings = []
 
     def train(made):

@@ -9,12 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from experiments.measure import _planner
 from gnnjax.arm.robot import load_robot
 from gnnjax.arm.torques import can_rest, rests
 from gnnjax.digest import digest
 from gnnjax.errors import InputError
-from gnnjax.evaluate import EvaluateConfig
+from gnnjax.evaluate import EvaluateConfig, planner_for
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.guide.rest import with_rest
@@ -200,6 +199,6 @@ def test_commands_take_a_share(tiny_path):
     np.testing.assert_allclose(read_robot(planned).rest_limit, limit / 2)
     np.testing.assert_allclose(read_robot(planned, (30.0,)).rest_limit, [15.0] * 6)
     evaluated = EvaluateConfig(problems=Path(), json=Path(), **options)
-    np.testing.assert_allclose(_planner(evaluated).robot.rest_limit, limit / 2)
+    np.testing.assert_allclose(planner_for(evaluated).robot.rest_limit, limit / 2)
     with pytest.raises(InputError, match="joint a of tiny has no torque limit"):
         generate(GenerateConfig(robot=str(tiny_path), rest_share=0.5))

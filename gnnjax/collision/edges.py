@@ -107,6 +107,16 @@ def test_edges(
     return test(check_configurations, order, resolution, scene, starts, ends)
 
 
+def _configurations(
+    table: jax.Array, low: jax.Array, way: jax.Array, intervals: jax.Array, step: jax.Array
+) -> jax.Array:
+    """Of edges from `low` `[E D]` by `way` `[E D]`, those `[E B D]` that come at steps `[B]` or
+    `[E B]` of the table's order."""
+    point = table[intervals[:, None], jnp.minimum(step, table.shape[1] - 1)]
+    fraction = point / intervals[:, None].astype(low.dtype)
+    return low[:, None] + fraction[..., None] * way[:, None]
+
+
 def _first_blocked(
     wanted: Bool[Array, "E B"], free: Bool[Array, "E B"]
 ) -> tuple[Bool[Array, " E"], Int[Array, " E"]]:
@@ -139,9 +149,7 @@ def _test_few(
         done, valid, num_checks = state
         step = done + jnp.arange(block)  # [block]
         wanted = step < (intervals - 1)[:, None]  # [E block]
-        point = table[intervals[:, None], jnp.minimum(step, max_intervals - 1)]
-        fraction = point / intervals[:, None].astype(starts.dtype)
-        q = low[:, None] + fraction[..., None] * (high - low)[:, None]
+        q = _configurations(table, low, high - low, intervals, step)
         free = check_configurations(scene, q.reshape(-1, num_dof)).reshape(num_edges, block)
         refuted, tested = _first_blocked(wanted, free)
         return done + block, valid & ~refuted, num_checks + jnp.where(valid, tested, 0)
@@ -188,9 +196,7 @@ def _test_many(
         end = jnp.where(edge < nobody, to_test[at], 0)
         step = done[:, None] + jnp.arange(_MANY_STRETCH)
         wanted = step < end[:, None]
-        point = table[intervals[at][:, None], jnp.minimum(step, max_intervals - 1)]
-        fraction = point / intervals[at][:, None].astype(starts.dtype)
-        q = low[at][:, None] + fraction[..., None] * (high - low)[at][:, None]
+        q = _configurations(table, low[at], (high - low)[at], intervals[at], step)
         valid_here = check_configurations(scene, q.reshape(-1, num_dof)).reshape(step.shape)
         refuted, tested = _first_blocked(wanted, valid_here)
         valid = valid.at[jnp.where(refuted, edge, nobody)].set(False, mode="drop")

@@ -8,7 +8,7 @@ until one is found in contact or all are apart.
 
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from gnnjax.arm.hulls import simplify
-from gnnjax.arm.kinematics import WORLD, Frame, body_frames, joint_terms
+from gnnjax.arm.kinematics import WORLD, Frame, Joints, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.spheres import Obstacle, Passes, Placed
@@ -73,21 +73,15 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         obstacle: Obstacle, q: Float[Array, "N D"], turns: jax.Array
     ) -> UInt[Array, "W N"]:
         """Bit p % WORD of word p // WORD: spheres of part p touch the obstacle."""
+
         joints = joint_terms(robot, q)
-
-        def turn(_, words: list[jax.Array]) -> list[jax.Array]:
-            fresh, words = jax.lax.optimization_barrier((joints, words))
-            words = list(words)
-            for g, squared, ball in passes.to_obstacle(fresh, obstacle):
-                word, bit = divmod(part_of[g], WORD)
-                hit = ~(squared > (radii[g] + ball) ** 2)
-                words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
-            return words
-
-        # One turn or none, which the compiler must not know: outside of a loop it computes every
-        # sphere's distance apart, each from the base on, and bits of parts from those.
         words = [jnp.zeros(len(q), jnp.uint32)] * -(-len(bodies) // WORD)
-        return jnp.stack(jax.lax.fori_loop(0, turns, turn, words))
+
+        def hits(joints: Joints) -> Iterator[tuple[int, jax.Array]]:
+            for g, squared, ball in passes.to_obstacle(joints, obstacle):
+                yield part_of[g], ~(squared > (radii[g] + ball) ** 2)
+
+        return jnp.stack(_with_bits(words, hits, joints, turns))
 
     def touching_itself(q: Float[Array, "C D"], turns: jax.Array) -> UInt[Array, "V C"]:
         """Bit u % WORD of word u // WORD: spheres of the two of `Robot.part_pairs[u]` touch."""
@@ -95,17 +89,12 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         words = [jnp.zeros(len(q), jnp.uint32)] * -(-couples.shape[1] // WORD)
         for pairs in passes.self_pairs:
 
-            def self_turn(_, words, pairs=pairs):
-                fresh, words = jax.lax.optimization_barrier((joints, words))
-                words = list(words)
-                for i, j, squared in passes.to_itself(fresh, pairs):
-                    word, bit = divmod(pair_of[part_of[i], part_of[j]], WORD)
-                    hit = ~(squared > (radii[i] + radii[j]) ** 2)
-                    words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
-                return words
+            def hits(joints: Joints, pairs=pairs) -> Iterator[tuple[int, jax.Array]]:
+                for i, j, squared in passes.to_itself(joints, pairs):
+                    both = pair_of[part_of[i], part_of[j]]
+                    yield both, ~(squared > (radii[i] + radii[j]) ** 2)
 
-            # One turn or none, which the compiler must not know.
-            words = jax.lax.fori_loop(0, turns, self_turn, words)
+            words = _with_bits(words, hits, joints, turns)
         return jnp.stack(words)
 
     def clear_of_obstacles(
@@ -153,6 +142,29 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         return test_pairs(bits_of(words, couples.shape[1]) & wanted, gaps)
 
     return PartTests(clear_of_obstacles, clear_of_itself)
+
+
+def _with_bits(
+    words: list[jax.Array],
+    hits: Callable[[Joints], Iterator[tuple[int, jax.Array]]],
+    joints: Joints,
+    turns: jax.Array,
+) -> list[jax.Array]:
+    """Words with the bits of those that hits name, in one turn of a loop, or as they are in none.
+
+    The compiler must not know which: outside of a loop it computes every sphere's distance apart,
+    each from the base on, and bits of parts from those.
+    """
+
+    def turn(_, words: list[jax.Array]) -> list[jax.Array]:
+        fresh, words = jax.lax.optimization_barrier((joints, words))
+        words = list(words)
+        for number, hit in hits(fresh):
+            word, bit = divmod(number, WORD)
+            words[word] |= jnp.where(hit, jnp.uint32(1 << bit), jnp.uint32(0))
+        return words
+
+    return jax.lax.fori_loop(0, turns, turn, words)
 
 
 def _pairs(robot: Robot) -> dict[tuple[int, int], int]:
