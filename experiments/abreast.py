@@ -26,11 +26,13 @@ from gnnjax.scene.scene import without_points
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID
 from gnnjax.search.rounds import Priced, cheapest_route, learn
 
-SIZES = (64, 256, 1024, 4096)  # problems of a batch; one compilation each
+SIZES = (64, 256, 1024, 4096, 16_384)  # problems of a batch; one compilation each
 _FEW = 32  # problems; so many that have no path yet are not worth another roadmap
 _STEPS = 24  # nodes of a path; longer ones are left to the engine
 _POINTS = 14  # of a path between which shortcuts are tested
 _PASSES, _ROADMAPS, _ROUNDS = 3, 3, 24  # of shortening; of a problem; of a roadmap
+# Configurations that are tested at once: as many as caches hold, or as an H100 was fastest with.
+_BLOCK, _LARGE_BLOCK = 2048, 262_144
 # Configurations of a motion are tested up to these numbers, in the order of bisection, before the
 # motions that hold so far are tested further.
 _STRATA = (0, 2, 8, 32)
@@ -223,8 +225,7 @@ class AbreastSearch:
         problems."""
         owner, starts, ends, wanted = motions
         order = jnp.asarray(self._order)
-        # Configurations at once: as many as caches hold, or an accelerator wants.
-        block = 2048 if platform() == "cpu" else max(2048, 16 * num)
+        block = _BLOCK if platform() == "cpu" else _LARGE_BLOCK
         low, high, intervals, testable = cut_edges(starts, ends, self._resolution, len(order) - 1)
         is_motion = jnp.any(starts != ends, axis=1)
         points = jnp.where(is_motion, intervals - 1, 1)
