@@ -14,6 +14,7 @@ the program has not, it is traced and lowered, and not compiled.
 import contextlib
 import functools
 import hashlib
+import itertools
 import logging
 import os
 import pickle
@@ -31,6 +32,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from gnnjax.digest import Undigested, digest
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, cache_folder
+from gnnjax.memory_maps import make_room_for_code
 from gnnjax.notice import told_if_long
 from gnnjax.surroundings import SOURCES, keeps_code, machine, settings
 
@@ -49,6 +51,8 @@ _CONTEXT = (
     "jax_numpy_dtype_promotion",
 )
 _LOCK = threading.RLock()  # of finding code, or each thread would compile it
+_EVERY = 16  # functions that are found before somebody looks whether there is room for more
+_finds = itertools.count(1)
 
 
 class Kept:
@@ -86,6 +90,8 @@ class Kept:
 
     def _find(self, tree: Any, leaves: list[Any], args: tuple) -> Callable:
         """What computes arguments of these shapes."""
+        if next(_finds) % _EVERY == 0:
+            make_room_for_code()
         kinds = [_kind(leaf) for leaf in leaves]
         if None in kinds or not keeps_code():
             return self._jitted
