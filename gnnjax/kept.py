@@ -51,7 +51,7 @@ _CONTEXT = (
     "jax_numpy_dtype_promotion",
 )
 _LOCK = threading.RLock()  # of finding code, or each thread would compile it
-_EVERY = 16  # functions that are found before somebody looks whether there is room for more
+_EVERY = 4  # functions that are found before somebody looks whether there is room for more
 _finds = itertools.count(1)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from gnnjax.errors import InputError
 
 _MAPS, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
-_SPARE = 4000  # more than sixteen functions take; so many are loaded between two looks
+_SPARE = 4000  # a function takes up to 500, and several are loaded between two looks
 
 
 def make_room_for_code() -> None:
