@@ -14,7 +14,6 @@ the program has not, it is traced and lowered, and not compiled.
 import contextlib
 import functools
 import hashlib
-import itertools
 import logging
 import os
 import pickle
@@ -32,7 +31,7 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from gnnjax.digest import Undigested, digest
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, cache_folder
-from gnnjax.memory_maps import make_room_for_code
+from gnnjax.memory_maps import Room
 from gnnjax.notice import told_if_long
 from gnnjax.surroundings import SOURCES, keeps_code, machine, settings
 
@@ -51,8 +50,7 @@ _CONTEXT = (
     "jax_numpy_dtype_promotion",
 )
 _LOCK = threading.RLock()  # of finding code, or each thread would compile it
-_EVERY = 4  # functions that are found before somebody looks whether there is room for more
-_finds = itertools.count(1)
+_ROOM = Room()
 
 
 class Kept:
@@ -90,8 +88,7 @@ class Kept:
 
     def _find(self, tree: Any, leaves: list[Any], args: tuple) -> Callable:
         """What computes arguments of these shapes."""
-        if next(_finds) % _EVERY == 0:
-            make_room_for_code()
+        _ROOM.make()
         kinds = [_kind(leaf) for leaf in leaves]
         if None in kinds or not keeps_code():
             return self._jitted

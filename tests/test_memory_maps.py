@@ -6,8 +6,15 @@ import weakref
 import pytest
 
 from gnnjax import kept, memory_maps
+from gnnjax.digest import digest
 from gnnjax.errors import InputError
-from gnnjax.memory_maps import make_room_for_code
+from gnnjax.memory_maps import Room
+
+
+def make_room_for_code():
+    room = Room()
+    for _ in range(memory_maps._EVERY):
+        room.make()
 
 
 class Cycle:
@@ -61,9 +68,16 @@ def test_other_systems_are_left_alone(monkeypatch, tmp_path):
     make_room_for_code()
 
 
-def test_it_is_asked_while_functions_are_compiled(monkeypatch):
+def test_it_is_asked_once_a_function(monkeypatch):
     asked = []
-    monkeypatch.setattr(kept, "make_room_for_code", lambda: asked.append(True))
-    for _ in range(2 * kept._EVERY):
-        kept.keep(lambda x: x)(1.0)  # no array, which is not kept
-    assert len(asked) == 2
+    monkeypatch.setattr(Room, "make", lambda self: asked.append(self))
+    function = kept.keep(lambda x: x)
+    for _ in range(2):
+        function(1.0)  # no array, which is not kept
+    assert asked == [kept._ROOM]
+
+
+def test_how_often_it_was_asked_does_not_count():
+    before = digest(kept._ROOM)
+    kept._ROOM.make()
+    assert digest(kept._ROOM) == before
