@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from experiments.path_points import FIRST, POINTS, SECOND, shortest, spread_out
 from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
 from gnnjax.collision.checker import Checker
@@ -29,14 +30,12 @@ from gnnjax.search.rounds import Priced, cheapest_route, learn
 SIZES = (64, 256, 1024, 4096, 16_384)  # problems of a batch; one compilation each
 _FEW = 32  # problems; so many that have no path yet are not worth another roadmap
 _STEPS = 24  # nodes of a path; longer ones are left to the engine
-_POINTS = 14  # of a path between which shortcuts are tested
 _PASSES, _ROADMAPS, _ROUNDS = 3, 3, 24  # of shortening; of a problem; of a roadmap
 # Configurations that are tested at once: as many as caches hold, or as an H100 was fastest with.
 _BLOCK, _LARGE_BLOCK = 2048, 262_144
 # Configurations of a motion are tested up to these numbers, in the order of bisection, before the
 # motions that hold so far are tested further.
 _STRATA = (0, 2, 8, 32)
-_FIRST, _SECOND = np.triu_indices(_POINTS, 1)
 
 
 class Motions(NamedTuple):
@@ -199,11 +198,11 @@ class AbreastSearch:
         counts: tuple[jax.Array, jax.Array],
     ) -> tuple[jax.Array, jax.Array, tuple[jax.Array, jax.Array]]:
         """One pass: the shortest way along all shortcuts between points of each path that hold."""
-        bent = (num > 2) & (num <= _POINTS)
-        spread, edge = jax.vmap(_spread)(points, num)
-        first, second = spread[:, _FIRST], spread[:, _SECOND]
+        bent = (num > 2) & (num <= POINTS)
+        spread, edge = jax.vmap(spread_out)(points, num)
+        first, second = spread[:, FIRST], spread[:, SECOND]
         # What lies along one edge of the path holds.
-        wanted = bent[:, None] & (edge[:, _FIRST] != edge[:, _SECOND - 1])
+        wanted = bent[:, None] & (edge[:, FIRST] != edge[:, SECOND - 1])
         owner = jnp.broadcast_to(jnp.arange(len(num))[:, None], wanted.shape)
         flat = jax.tree.map(
             lambda x: x.reshape(-1, *x.shape[2:]), Motions(owner, first, second, wanted)
@@ -211,10 +210,10 @@ class AbreastSearch:
         holds, checks = self._test(placed, flat, len(num))
         holds = holds.reshape(wanted.shape) | ~wanted
         lengths = jnp.where(holds, jnp.linalg.norm(second - first, axis=-1), jnp.inf)
-        way, steps = jax.vmap(_shortest)(lengths)
+        way, steps = jax.vmap(shortest)(lengths)
         shorter = jnp.take_along_axis(spread, way[..., None], axis=1)
         width = points.shape[1]
-        shorter = jnp.pad(shorter, ((0, 0), (0, max(0, width - _POINTS)), (0, 0)), "edge")
+        shorter = jnp.pad(shorter, ((0, 0), (0, max(0, width - POINTS)), (0, 0)), "edge")
         found = jnp.where(bent[:, None, None], shorter[:, :width], points)
         edges, before = counts
         counts = edges + jnp.sum(wanted, axis=1, dtype=jnp.int32), before + checks
@@ -259,43 +258,3 @@ class AbreastSearch:
 
         state = testable & wanted, jnp.zeros(num, jnp.int32)
         return jax.lax.fori_loop(0, len(_STRATA), stratum, state)
-
-
-def _spread(
-    path: Float[Array, "T D"], num: Int[Array, ""]
-) -> tuple[Float[Array, "V D"], Int[Array, " V"]]:
-    """Points along a path, its corners among them, and the edge that leads on from each."""
-    steps = len(path) - 1
-    real = jnp.arange(steps) < num - 1
-    lengths = jnp.where(real, jnp.linalg.norm(jnp.diff(path, axis=0), axis=1), 0.0)
-
-    def cut(_, pieces):  # the longest piece is cut next
-        more = (jnp.sum(pieces) < _POINTS - 1).astype(pieces.dtype)
-        return pieces.at[jnp.argmax(lengths / jnp.maximum(pieces, 1))].add(more)
-
-    pieces = jax.lax.fori_loop(0, _POINTS - 1, cut, real.astype(jnp.int32))
-    last = jnp.cumsum(pieces)
-    place = jnp.arange(_POINTS)
-    edge = jnp.minimum(jnp.searchsorted(last, place, side="right"), jnp.maximum(num - 2, 0))
-    share = (place - (last[edge] - pieces[edge])) / jnp.maximum(pieces[edge], 1)
-    inner = path[edge] + share.astype(path.dtype)[:, None] * (path[edge + 1] - path[edge])
-    is_last = place >= last[-1]
-    return jnp.where(is_last[:, None], path[jnp.maximum(num - 1, 0)], inner), edge
-
-
-def _shortest(lengths: Float[Array, " E"]) -> tuple[Int[Array, " V"], Int[Array, ""]]:
-    """The shortest way from the first of V points to the last over motions of some lengths: which
-    points, the last repeated, and how many."""
-    matrix = jnp.full((_POINTS, _POINTS), jnp.inf).at[_FIRST, _SECOND].set(lengths)
-    cost, before = jnp.full(_POINTS, jnp.inf).at[0].set(0.0), jnp.zeros(_POINTS, jnp.int32)
-    for j in range(1, _POINTS):
-        through = cost + matrix[:, j]
-        best = jnp.argmin(through).astype(jnp.int32)
-        cost, before = cost.at[j].set(through[best]), before.at[j].set(best)
-    on_way = jnp.zeros(_POINTS, bool).at[_POINTS - 1].set(True)
-    at = jnp.int32(_POINTS - 1)
-    for _ in range(_POINTS - 1):
-        at = before[at]
-        on_way = on_way.at[at].set(True)
-    (way,) = jnp.nonzero(on_way, size=_POINTS, fill_value=_POINTS - 1)
-    return way, jnp.sum(on_way)
