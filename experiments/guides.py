@@ -3,12 +3,12 @@
     python -m experiments.guides
 
 Guides as equals: each is an argument of the same engine, which plans the same problems with the
-same options and seeds; with each guide once as users have it, and once without shortening, so that
-the search of the roadmap alone can be seen. Problems are the Kuka's test set and families of hard
-scenes, in one array, so that each guide is compiled once (and boxes count as rotated for all). One
-problem is planned by all guides in turn before the next one is, so that whatever else the machine
-does slows all of them. Blocks of problems are kept in `runs/`, and a run that was cut off goes on
-with the next one.
+same options and seeds: first as users have it, then without shortening, so that the search of the
+roadmap alone can be seen. Problems are the Kuka's test set and families of hard scenes, in one
+array, so that each guide is compiled once a mode (and boxes count as rotated for all). One problem
+is planned by all guides in turn before the next one is, so that whatever else the machine does
+slows all of them. Blocks of problems are kept in `runs/`, and a run that was cut off goes on with
+the next one.
 
 Guides are also asked about the edges of the stored roadmap, in the first scenes of each set: those
 between free nodes, each once. Told is the area under the ROC curve, the log loss of exp(-price)
@@ -97,21 +97,20 @@ def _rows(config: GuidesConfig, folder: Path) -> Iterator[Row]:
         return {name: ask(guide, edges) for name, guide in guides.items()}
 
     asked = kept(folder / f"edges_{config.scenes}.json", ask_all)
-    makers = {
-        f"{name}, {mode}": functools.partial(
-            own_planner,
-            robot,
-            make_options("guided", num_nodes=config.num_nodes, shorten=shorten),
-            guide,
-        )
-        for name, guide in guides.items()
-        for mode, shorten in MODES.items()
-    }
-    planned = plan_in_turn(robot, makers, problems, config.seeds[:1], folder)
+    planned = {}
+    for mode, shorten in MODES.items():
+        options = make_options("guided", num_nodes=config.num_nodes, shorten=shorten)
+        makers = {
+            name: functools.partial(own_planner, robot, options, guide)
+            for name, guide in guides.items()
+        }
+        # A mode's planners are gone before the next one's are made: a process has no room for the
+        # compiled code of all.
+        planned[mode] = plan_in_turn(robot, makers, problems, config.seeds[:1], folder / mode)
     for name, members in sets.items():
         for guide in guides:
             summaries = {
-                mode: summarize_seeds(planned[f"{guide}, {mode}"], keep=members.__contains__)
+                mode: summarize_seeds(planned[mode][guide], keep=members.__contains__)
                 for mode in MODES
             }
             yield {"set": name, "guide": guide, "edges": asked[guide][name], **summaries}
