@@ -7,7 +7,6 @@ until one is found in contact or all are apart.
 """
 
 import functools
-import itertools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -17,8 +16,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from gnnjax.arm.hulls import simplify
-from gnnjax.arm.kinematics import WORLD, Frame, Joints, body_frames, joint_terms
+from gnnjax.arm.kinematics import Joints, joint_terms
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.transforms import behind, composed, transform
 from gnnjax.collision import convex
 from gnnjax.collision.spheres import Obstacle, Passes, Placed
 from gnnjax.kept import kept_result
@@ -187,22 +187,45 @@ class _Frames:
 
 
 def part_frames(robot: Robot, q: jax.Array) -> _Frames:
-    def full(component: Any) -> jax.Array:
-        return jnp.broadcast_to(jnp.asarray(component, q.dtype), len(q))
+    """Of the robot's bodies, in their order, and of the world.
 
-    def as_array(frame: Frame) -> jax.Array:
-        origin, rows = frame
-        return jnp.stack([full(x) for x in itertools.chain(origin, *rows)])
+    A joint a turn of a loop: outside of one, the compiler computes each from the base on.
+    """
+    joints = _joints(robot)
+    values, cos, sin = (x[joints.index][:, None, None] for x in joint_terms(robot, q))
+    still, *moving = (jnp.asarray(part, q.dtype)[..., None] for part in joints.parts)
+    own = still + moving[0] * cos + moving[1] * sin + moving[2] * values
+    world = jnp.broadcast_to(jnp.eye(3, 4)[..., None], (3, 4, len(q)))
 
-    def settle(frame: Frame) -> Frame:
-        # Written to memory, or every number of every body would be computed from the base on.
-        origin, *rows = np.split(np.arange(12), 4)
-        array = jax.lax.optimization_barrier(as_array(frame))
-        return [array[i] for i in origin], [[array[i] for i in row] for row in rows]
+    def turn(i: jax.Array, frames: jax.Array) -> jax.Array:
+        return frames.at[i].set(composed(frames[jnp.asarray(joints.before)[i]], own[i]))
 
-    frames = body_frames(robot, joint_terms(robot, q), settle=settle)
-    stacked = jnp.stack([as_array(frame) for frame in (*frames, WORLD)])
-    return _Frames(stacked[:, :3], stacked[:, 3:].reshape(-1, 3, 3, len(q)))
+    frames = jnp.zeros((len(joints.before) + 1, *world.shape)).at[-1].set(world)
+    frames = jax.lax.fori_loop(0, len(joints.before), turn, frames)[joints.last]
+    return _Frames(frames[:, :, 3], frames[:, :, :3])
+
+
+class _Joints(NamedTuple):
+    """S joints, and what they move; a body without one has one that does nothing."""
+
+    index: np.ndarray  # [S] positions in the configuration
+    parts: np.ndarray  # [4 S 3 4] as of `behind`, in the frame behind the joint before
+    before: np.ndarray  # [S] the joint before; -1 for the world
+    last: np.ndarray  # [L + 1] of each body; the world's, -1, comes last
+
+
+def _joints(robot: Robot) -> _Joints:
+    index, parts, before, last = [], [], [], []
+    for body in robot.bodies:
+        at = last[body.parent] if body.parent >= 0 else -1
+        own = transform(body.rotation, body.position)
+        for joint in body.joints or (None,):
+            index.append(0 if joint is None else joint.index)
+            parts.append(behind(own, joint))
+            before.append(at)
+            at, own = len(before) - 1, transform(np.eye(3), np.zeros(3))
+        last.append(at)
+    return _Joints(*map(np.array, (index, np.stack(parts, axis=1), before, [*last, -1])))
 
 
 def _seen(turned: jax.Array, origin: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,7 +1,7 @@
 """The joints that move a frame of the arm: a transform each, affine in its cosine and sine.
 
 Kinematics of one frame alone, for S configurations, which come last in arrays; what joints have in
-common is computed together. Transforms are `[3 4]`, a rotation and, in the last column, a place.
+common is computed together. Transforms are those of `arm/transforms.py`.
 """
 
 from typing import NamedTuple
@@ -12,6 +12,7 @@ import numpy as np
 
 from gnnjax.arm.bodies import Joint
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.transforms import behind, compose, composed, transform
 from gnnjax.pose.goal import ToolFrame
 
 
@@ -40,15 +41,13 @@ def chain_of(robot: Robot, tool: ToolFrame) -> Chain:
     """The joints between the base and a frame."""
     joints: list[Joint] = []
     parts: list[np.ndarray] = []
-    before = _transform(np.eye(3), np.zeros(3))
+    before = nowhere = transform(np.eye(3), np.zeros(3))
     for b in tool.chain:
         body = robot.bodies[b]
-        before = _compose(before, _transform(body.rotation, body.position))
+        before = compose(before, transform(body.rotation, body.position))
         for joint in body.joints:
-            still, *moving = _parts(joint)
-            rotation = before[:, :3]
-            parts.append(np.stack([_compose(before, still), *(rotation @ x for x in moving)]))
-            before = _transform(np.eye(3), np.zeros(3))
+            parts.append(behind(before, joint))
+            before = nowhere
             joints.append(joint)
     numbers = np.array([joint.index for joint in joints])
     return Chain(
@@ -58,7 +57,7 @@ def chain_of(robot: Robot, tool: ToolFrame) -> Chain:
         parts=np.stack(parts, axis=1),
         axes=np.stack([joint.axis for joint in joints]),
         anchors=np.stack([joint.anchor for joint in joints]),
-        tool=_compose(before, _transform(tool.rotation, tool.position)),
+        tool=compose(before, transform(tool.rotation, tool.position)),
     )
 
 
@@ -81,10 +80,10 @@ def kinematics(chain: Chain, base: jax.Array, q: jax.Array) -> Kinematics:
     local = settled(still + jnp.sum(moving * factors[:, :, None, None], axis=0))
     frames = []
     for one in local:
-        base = settled(_composed(base, one))
+        base = settled(composed(base, one))
         frames.append(base)
     found = jnp.stack(frames)  # [N 3 4 S]
-    frame = _composed(base, constant(chain.tool))
+    frame = composed(base, constant(chain.tool))
     axes = jnp.sum(found[:, :, :3] * constant(chain.axes)[:, None], axis=2)
     anchors = found[:, :, 3] + jnp.sum(found[:, :, :3] * constant(chain.anchors)[:, None], axis=2)
     around = jnp.cross(axes, frame[:, 3] - anchors, axis=1)
@@ -93,38 +92,6 @@ def kinematics(chain: Chain, base: jax.Array, q: jax.Array) -> Kinematics:
     )
     jacobian = jnp.zeros((len(q), *columns.shape[1:]), q.dtype).at[chain.joints].set(columns)
     return Kinematics(frame, jacobian)
-
-
-def _transform(rotation: np.ndarray, place: np.ndarray) -> np.ndarray:
-    return np.concatenate([rotation, place[:, None]], axis=1)
-
-
-def _compose(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    moved = outer[:, :3] @ inner
-    moved[:, 3] += outer[:, 3]
-    return moved
-
-
-def _composed(outer: jax.Array, inner: jax.Array) -> jax.Array:
-    """`_compose` of S transforms."""
-    turned = jnp.sum(outer[:, :3, None] * inner[None], axis=1)
-    return turned.at[:, 3].add(outer[:, 3])
-
-
-def _parts(joint: Joint) -> np.ndarray:
-    """`[4 3 4]`, see `Chain.parts`, without what lies before the joint."""
-    if not joint.hinge:
-        still = _transform(np.eye(3), np.zeros(3))
-        nothing = np.zeros((3, 4))
-        return np.stack([still, nothing, nothing, _transform(np.zeros((3, 3)), joint.axis)])
-    x, y, z = joint.axis
-    along = np.outer(joint.axis, joint.axis)
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # Rodrigues' formula
-    turns = [along, np.eye(3) - along, across]
-    # The anchor stays where it is.
-    parts = [_transform(turn, -turn @ joint.anchor) for turn in turns]
-    parts[0][:, 3] += joint.anchor
-    return np.stack([*parts, np.zeros((3, 4))])
 
 
 def settled(values: jax.Array) -> jax.Array:
