@@ -106,7 +106,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     bounds = bounds_table(found["figure5"]["rows"])
     assert len(bounds.splitlines()) == 2 + len(BOUNDED)
     assert "RRT-Connect, simplified" in verification_table(found["figure5"]["rows"])
-    assert "guided, trained on this arm" in arms.table(found["arms"])
+    assert "guided, network of this arm" in arms.table(found["arms"])
     strata = [row for row in found["hard"]["rows"] if row["set"] == "test"]
     assert "guided" in strata_table(strata)
     own = next(row for row in found["arms"]["rows"] if row["planner"] == "guided_own")
