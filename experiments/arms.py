@@ -5,9 +5,9 @@
 The guided planner on the Kinova (or `--arms franka_panda`, kept out of all training), guided by the
 shipped motion network, which was trained on the Kuka and the Kinova, beside networks that were
 trained on the arm alone and on the Kuka alone, both for 300 batches; the shipped one saw 1,500 of
-either arm. Checks are said to be dear, or exact shortcuts, which ask no guide, would be most of what
-is counted. The distance field, LazySP and RRT-Connect stand beside them. N = 400, 100 problems of the
-paper's distribution.
+either arm. Checks are said to be dear, or exact shortcuts, which ask no guide, would be most of
+what is counted. The distance field, LazySP and RRT-Connect stand beside them. N = 400, 100 problems
+of the paper's distribution.
 """
 
 import dataclasses
