@@ -110,9 +110,9 @@ def no_dead_ends(results):
         row["dead_ends"]["low"] = 0.0
 
 
-def as_well_as_its_own(results):
-    for row in of_planner(results, "guided"):
-        row["to_own"] = {"edge_checks": {"mean": 1.01, "low": 0.93, "high": 1.1}}
+def worse_than_its_own(results):
+    for row in of_planner(results, "guided_shipped"):
+        row["to_own"] = {"edge_checks": {"mean": 1.2, "low": 1.1, "high": 1.3}}
 
 
 def dear_networks(results):
@@ -186,7 +186,7 @@ def poses_that_are_not_reached(results):
         ("crossover", dear_guide, "Holds: ", "Does not hold: guided is faster in the mean against"),
         ("hard", easy_for_rrt_connect, "4.7 (line blocked)", "0.0 (line blocked)"),
         ("failures", no_dead_ends, "Holds in part: dead ends", "does not hold: dead ends"),
-        ("arms", as_well_as_its_own, "1.20 (1.10 to 1.30) times", "Holds: "),
+        ("arms", worse_than_its_own, "Holds: kinova", "not hold: kinova_gen3: 1.20 (1.10 to 1.30)"),
         ("converged", a_training_that_pays, "Holds: paper's", "not hold: paper's network"),
         ("guides", a_checkless_length, "length alone takes 1.", "alone takes 0.50 times"),
         ("calibrate_field", a_fit_that_pays, "Holds: fitted", "not hold: fitted, 24 cells"),
