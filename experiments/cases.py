@@ -7,6 +7,7 @@ from typing import Any
 from gnnjax.evaluate import EvaluateConfig
 
 OURS = ("guided", "gnn", "gnn_lazy", "distance", "oracle", "prm", "lazysp")
+DEAR = 1000.0  # us; a check that costs so much is not asked for where a guide can tell
 CLASSICAL = ("ompl:rrt_connect", "ompl:bit_star", "ompl:rrt_star", "ompl:prm")
 
 # Names that are no planner's own: the planner behind them, and its options.
@@ -17,7 +18,7 @@ CLASSICAL = ("ompl:rrt_connect", "ompl:bit_star", "ompl:rrt_star", "ompl:prm")
 _VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "gnn_paper": ("gnn", {"weights": Path("kuka_iiwa14_paper"), "max_roadmaps": 1}),
     "guided_roadmap": ("guided", {"shorten": False}),
-    "guided_dear": ("guided", {"check_cost": 1000.0}),
+    "guided_dear": ("guided", {"check_cost": DEAR}),
     "guided_sampled": ("guided", {"shorten": False, "sampled": True}),
     "guided@0.02": ("guided", {"resolution": 0.02}),
     "ompl:rrt_connect@0.02": ("ompl:rrt_connect", {"resolution": 0.02}),
