@@ -23,7 +23,7 @@ from experiments.measure import ExperimentConfig, measure, measure_problems, pro
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import ratio_of_means
-from experiments.style import draw_bars, label
+from experiments.style import draw_bars, label, make_logarithmic
 from experiments.tables import DETAIL, both, interval, markdown, measured_on
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.train_motion import TrainMotionConfig
@@ -119,7 +119,7 @@ def draw(results: Row) -> Figure:
         draw_bars(axes, {p: [found[p, arm] for arm in arms] for p in PLANNERS}, arms, scale)
         axes.set_title(title)
         if scale == 1.0 and axes.patches:  # there are hard problems
-            axes.set_yscale("log")
+            make_logarithmic(axes)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5)
     figure.suptitle("Hard problems: means with 95 % intervals")

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from experiments.published import VAMP_PLAN_S
 from experiments.results import Row
-from experiments.style import COLORS, label
+from experiments.style import COLORS, label, make_logarithmic
 from experiments.tables import cell, made_on, markdown, seconds
 
 OWN = ("guided", "guided_roadmap")
@@ -53,7 +53,8 @@ def draw(results: Row) -> Figure:
             else:
                 axes.axhline(middle[0], color=color, linestyle="--", label=name)
                 axes.axhspan(low[0], high[0], color=color, alpha=0.12, lw=0)
-        axes.set(xscale="log", yscale="log", title=title, xlabel="problems planned at once")
+        axes.set(title=title, xlabel="problems planned at once")
+        make_logarithmic(axes, "xy")
     panels[0].set_ylabel("problems a second")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure

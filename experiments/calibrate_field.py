@@ -33,6 +33,7 @@ from experiments.measure import ExperimentConfig
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import ratio_of_means, summarize_seeds
+from experiments.style import make_logarithmic
 from experiments.tables import cell, interval, markdown
 from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
@@ -184,7 +185,8 @@ def draw(results: Row) -> Figure:
             axes.plot(spent, missed, "o-", ms=4, label=f"{cells} cells")
             for row, x, y in zip(chosen, spent, missed, strict=True):
                 axes.annotate(f"{row['spacing']:g}", (x, y), fontsize=7)
-        axes.set(xscale="log", yscale="log", title=arm, xlabel="us an edge, field included")
+        axes.set(title=arm, xlabel="us an edge, field included")
+        make_logarithmic(axes, "xy")
     panels[0].set_ylabel("1 - area under the ROC curve")
     panels[0].legend()
     figure.suptitle("Numbers: spacing of places, rad")

@@ -34,7 +34,7 @@ from experiments.published import FIGURE5
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Measured, Row, of_set
 from experiments.statistics import BAND
-from experiments.style import COLORS, label
+from experiments.style import COLORS, label, make_logarithmic
 from experiments.tables import (
     DETAIL,
     MAIN,
@@ -151,7 +151,7 @@ def draw(results: Row) -> Figure:
         axes.set(title=title, xlabel="nodes of the roadmap")
         axes.set_xticks(sizes)
         if logarithmic:
-            axes.set_yscale("log")
+            make_logarithmic(axes)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6)
     figure.suptitle("Means with 95 % intervals; dashed: OMPL; dotted: the paper's own numbers")

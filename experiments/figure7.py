@@ -20,7 +20,7 @@ from experiments.measure import ExperimentConfig, measure, problem_set
 from experiments.published import FIGURE7
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Measured, Row
-from experiments.style import COLORS, draw_bars, label
+from experiments.style import COLORS, draw_bars, label, make_logarithmic
 from experiments.tables import DETAIL, listing, measured_on, planner_table
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig
@@ -127,7 +127,7 @@ def draw(results: Row) -> Figure:
                 title += f"\ngnn: {_compared(ours, than)} (paper: {100 * share:.1f} % less)"
         axes.set_title(title)
         if logarithmic:
-            axes.set_yscale("log")
+            make_logarithmic(axes)
         elif scale == 100:
             axes.set_ylim(0, 100)
     handles, labels = figure.axes[0].get_legend_handles_labels()

@@ -33,6 +33,7 @@ from experiments.measure import ExperimentConfig, problem_set
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import summarize_seeds
+from experiments.style import make_logarithmic
 from experiments.tables import cell, listing, made_on, markdown, span
 from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
@@ -166,7 +167,8 @@ def draw(results: Row) -> Figure:
                 height = [_hard(rows[name], part, quantity, "mean") for name in sets]
             kind = KINDS[guide]
             axes.bar(at, height, 0.94 * width, color=kind.color, label=kind.title)
-        axes.set(yscale="log", title=title)
+        axes.set(title=title)
+        make_logarithmic(axes)
         axes.set_xticks(range(len(sets)), sets)
     panels[0].set_ylim(1e-4, 1)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)

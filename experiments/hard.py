@@ -31,7 +31,7 @@ from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row, of_set
 from experiments.statistics import summarize_seeds
 from experiments.strata import BOXES, CLEARANCES, LINES, strata
-from experiments.style import draw_bars, label
+from experiments.style import draw_bars, label, make_logarithmic
 from experiments.tables import SETS, cell, markdown, span
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.problems.families import BOX_FAMILIES
@@ -139,7 +139,7 @@ def draw(results: Row) -> Figure:
             axes.set_title(f"{kind}: {title}")
             axes.tick_params(axis="x", labelsize=8)
             if quantity != "success":
-                axes.set_yscale("log")
+                make_logarithmic(axes)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=8)
     figure.suptitle("Means with 95 % intervals; in brackets: problems of the stratum")

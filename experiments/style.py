@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogFormatter
 
 from experiments.statistics import BAND
 
@@ -94,3 +95,19 @@ def draw_bars(
             error_kw={"elinewidth": 0.8},
         )
     axes.set_xticks(range(len(groups)), groups)
+
+
+def make_logarithmic(axes: Axes, which: str = "y") -> None:
+    """Makes axes, "x", "y" or "xy", logarithmic, with numbers as one says them: 60, not 6e1."""
+    for name in which:
+        axes.set(**{f"{name}scale": "log"})
+        axis = axes.xaxis if name == "x" else axes.yaxis
+        axis.set_major_formatter(_Plain(labelOnlyBase=True))
+        axis.set_minor_formatter(_Plain(labelOnlyBase=False))
+
+
+class _Plain(LogFormatter):
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        if not super().__call__(x, pos):
+            return ""  # of which ticks there would be too many
+        return f"{x:,.0f}" if x >= 1 else f"{x:g}"
