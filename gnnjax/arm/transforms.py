@@ -5,7 +5,6 @@ than by the components of `kinematics.py`, each of which is an operation of its 
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from gnnjax.arm.bodies import Joint

@@ -1,6 +1,7 @@
 """Rows of arrays in blocks of a few sizes, for each of which a function is compiled once."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -24,12 +25,21 @@ def in_blocks(
     return np.concatenate([np.asarray(found)[:num] for num, found in parts])
 
 
-def firsts(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of runs of equal numbers: each one's, and where it begins."""
-    is_first = np.ones(len(numbers), bool)
-    np.not_equal(numbers[1:], numbers[:-1], out=is_first[1:])
-    begin = is_first.nonzero()[0]
-    return numbers[begin], begin
+class Runs(NamedTuple):
+    """Runs of equal numbers, R."""
+
+    number: np.ndarray  # [R]
+    begin: np.ndarray  # [R] where each begins
+    size: np.ndarray  # [R]
+
+
+def runs_of(numbers: np.ndarray) -> Runs:
+    """The runs of equal numbers that lie side by side."""
+    is_first = np.ones(len(numbers) + 1, bool)
+    np.not_equal(numbers[1:], numbers[:-1], out=is_first[1:-1])
+    bounds = is_first.nonzero()[0]  # and where the last ends
+    begin = bounds[:-1]
+    return Runs(numbers[begin], begin, bounds[1:] - begin)
 
 
 def _filled(array: np.ndarray, num: int) -> np.ndarray:

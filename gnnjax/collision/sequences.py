@@ -14,7 +14,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
-from gnnjax.collision.blocks import firsts, in_blocks
+from gnnjax.collision.blocks import in_blocks, runs_of
 from gnnjax.collision.checker import Checker
 from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.edges import bisection_order, most_intervals
@@ -154,7 +154,7 @@ class SequenceTester:
             fraction = (point / intervals[item]).astype(np.float32)[:, None]
             q = low[item] + fraction * (high[item] - low[item])
             bad = np.flatnonzero(~self._test(placed, items.owner[item], q, of, clock))
-            hit, where = firsts(of[bad])
+            hit, where, _ = runs_of(of[bad])
             tested = size.copy()
             tested[hit] = step[bad[where]] + 1
             culprit[rows[hit]] = item[bad[where]]
@@ -221,8 +221,8 @@ class SequenceTester:
             valid[rows] = self._run_open(placed, owner[rows], found[rows], q[rows], clock)
             return valid
         # The first ones of each sequence, and, where these hold, the others.
-        _, begin = firsts(sequence[rows])
-        early = np.arange(len(rows)) - np.repeat(begin, np.diff(begin, append=len(rows))) < _EARLY
+        _, begin, size = runs_of(sequence[rows])
+        early = np.arange(len(rows)) - np.repeat(begin, size) < _EARLY
         for some in (early, ~early):
             some = rows[some & (rows < first[sequence[rows]])]
             if not len(some):
@@ -242,8 +242,7 @@ class SequenceTester:
     ) -> np.ndarray:
         """What the first level says of configurations; of few problems, what `decide` does."""
         # Those that lie side by side and have an owner in common share tiles.
-        _, begin = firsts(owner)
-        size = np.diff(begin, append=len(owner))
+        _, begin, size = runs_of(owner)
         tiles = -(-size // _TILE)
         first = np.cumsum(tiles) - tiles
         place = np.arange(len(owner)) + np.repeat(_TILE * first - begin, size)
