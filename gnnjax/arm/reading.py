@@ -9,7 +9,13 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.joints import choose_joints, hold_joints, joint_name
-from gnnjax.arm.mjcf import check_numbers, collision_geoms, links_never_meet, move_to_base
+from gnnjax.arm.mjcf import (
+    check_numbers,
+    collision_geoms,
+    links_never_meet,
+    move_to_base,
+    soft_bodies,
+)
 from gnnjax.arm.parts import geom_name
 from gnnjax.arm.urdf import read_urdf
 from gnnjax.errors import InputError
@@ -50,6 +56,11 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
         spec = mujoco.MjSpec.from_file(str(path))
     model, notes = spec.compile(), said
     check_numbers(model, path)
+    if soft := soft_bodies(model):
+        raise InputError(
+            f"flex {soft[0]!r} of {str(path)!r} is soft, which no arm can be here; remove it, or "
+            'let it collide with nothing (<contact contype="0" conaffinity="0"/>)'
+        )
     choice = choose_joints(model, path, joints, hold)
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     home = None
