@@ -112,6 +112,10 @@ def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(t
     )
     assert first is again
     assert first is not load_robot(path)
+    # In a notebook, say, while the file is worked on.
+    path.write_text(path.read_text().replace('"-2 2"', '"-2.5 2"'))
+    edited = load_robot(path, joints=["turn", "bend"], hold={"slip": 0.0}, allow=[("arm", "left")])
+    assert (edited.joint_lower != first.joint_lower).any()
 
 
 @pytest.mark.parametrize(

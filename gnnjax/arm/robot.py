@@ -139,7 +139,7 @@ def load_robot(
     What the file leaves open is decided, logged and kept in `Robot.notes`. An MJCF may hold
     `<custom><numeric name="velocity_limit" data="..."/></custom>`, likewise `acceleration_limit`,
     and a keyframe called `home`; a URDF's limits `acceleration` or `drake:acceleration`. The same
-    arguments give the same object.
+    arguments give the same object, until that file changes.
 
     Args:
         robot: name or path.
@@ -163,8 +163,11 @@ def load_robot(
         raise InputError(
             f'allow is {brief(allow)}; give pairs of names of bodies, such as [("hand", "link_4")]'
         )
+    path = Path(robot)
+    written = path.stat() if path.is_file() else None
     return _load(
-        Path(robot),
+        path,
+        written and (written.st_mtime_ns, written.st_size),
         None if joints is None else tuple(joints),
         tuple(sorted((name, float(value)) for name, value in held.items())),
         tuple((str(a), str(b)) for a, b in pairs),
@@ -178,6 +181,7 @@ def _is_pair(pair: object) -> bool:
 @functools.cache
 def _load(
     path: Path,
+    written: tuple[int, int] | None,  # when, and how much: a file that was edited is read anew
     joints: tuple[str, ...] | None,
     hold: tuple[tuple[str, float], ...],
     allow: tuple[tuple[str, str], ...],
