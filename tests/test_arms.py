@@ -112,6 +112,10 @@ def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(t
     )
     assert first is again
     assert first is not load_robot(path)
+    # In a notebook, say, while the file is worked on.
+    path.write_text(path.read_text().replace('"-2 2"', '"-2.5 2"'))
+    edited = load_robot(path, joints=["turn", "bend"], hold={"slip": 0.0}, allow=[("arm", "left")])
+    assert (edited.joint_lower != first.joint_lower).any()
 
 
 @pytest.mark.parametrize(
@@ -127,6 +131,9 @@ def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(t
         ({"hold": {"left": float("nan")}}, "is to be held at nan"),
         ({"joints": ["left", "right"]}, "'right' of .* follows 'left'; plan for one of them"),
         ({"hold": {"turn": 0.0, "bend": 0.0, "slip": 0.0}}, "all joints of .* are held or coupled"),
+        ({"joints": "turn"}, "joints is 'turn'; give a list of names"),
+        ({"hold": {"left": "0.01"}}, "hold is .*'0.01'.*; give numbers by names"),
+        ({"allow": ("arm", "hand")}, "allow is .*; give pairs of names of bodies"),
         ({"allow": [("arm", "elbow")]}, "no body 'elbow' in .* to allow; there are .*'hand'"),
     ],
 )

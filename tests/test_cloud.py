@@ -497,6 +497,10 @@ def test_points_are_read_from_files(ending, tmp_path):
     np.testing.assert_allclose(points_from_file(file), points, rtol=1e-6)
     scene = scene_from_points(file, 0.01, None)
     assert scene.cloud.num == 50
+    if "pcd" in ending:  # cut off, as by a disk that was full
+        file.write_bytes(file.read_bytes()[:-100])
+        with pytest.raises(InputError, match=r"is no PCD file .*; save it anew"):
+            points_from_file(file)
 
 
 def test_scene_files_hold_clouds_meshes_and_height_fields(tmp_path):
@@ -604,6 +608,14 @@ def test_other_bad_input_is_refused_or_warned_of(tmp_path):
     (tmp_path / "a.pcd").write_bytes(b"FIELDS x y z\nPOINTS 1\nDATA binary_compressed\n")
     with pytest.raises(InputError, match="is binary_compressed; save it as ascii or binary"):
         points_from_file(tmp_path / "a.pcd")
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    with pytest.raises(
+        InputError, match=r"box.ply' has 12 faces, which points leave open; give it"
+    ):
+        points_from_file(tmp_path / "box.ply")
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 nan 0\nf 1 2 3\nf 2 3 4\n")
+    with pytest.raises(InputError, match=r"a.obj' has vertices that are not finite"):
+        scene_from_mesh(tmp_path / "a.obj")
     (tmp_path / "a.npz").write_bytes(b"PK")
     with pytest.raises(InputError, match=r"a.npz' cannot be read as points .*; save it anew by"):
         points_from_file(tmp_path / "a.npz")

@@ -8,6 +8,7 @@ import pytest
 
 from gnnjax import load_robot, scene_from_mjcf
 from gnnjax.errors import InputError
+from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.scene import Scene, rotation_matrices
 from gnnjax.scene.shapes import KINDS, kind_of
@@ -236,6 +237,48 @@ def test_what_a_robot_carries_and_does_not_have_is_refused(tmp_path):
     assert kinds_of(scene_from_mjcf(written(tmp_path, arm(camera=camera)), robot=robot)) == [
         "sphere"
     ]
+
+
+@pytest.mark.parametrize("inside", ["", '<body name="upper"><geom size="0.1"/></body>'])
+def test_what_is_only_called_like_the_robot_is_an_obstacle(tmp_path, inside):
+    robot = load_robot(written(tmp_path, arm(), "arm.xml"))
+    path = written(
+        tmp_path,
+        f"""
+        <mujoco><worldbody><body name="base" pos="1 0 0">
+          <geom type="box" size="0.1 0.1 0.1"/>{inside}
+        </body></worldbody></mujoco>""",
+    )
+    assert kinds_of(read_scene(path, robot)) == ["box", "sphere"][: 1 + bool(inside)]
+    with pytest.raises(InputError, match=r"none of the first bodies of arm .* in their places"):
+        scene_from_mjcf(path, robot=robot)
+
+
+def test_what_a_link_has_there_and_not_in_its_own_file_is_not_left_out(tmp_path):
+    robot = load_robot(written(tmp_path, arm(), "arm.xml"))
+    geom = '<geom name="own" type="box" size="0.2 0.3 0.02" pos="0 0 -0.5"/>'
+    on_base = written(tmp_path, arm(camera=geom))
+    assert kinds_of(scene_from_mjcf(on_base, robot=robot)) == ["box"]
+    # What moves with the arm is no obstacle, and no part of it.
+    path = written(tmp_path, arm(more=geom))
+    with pytest.raises(
+        InputError, match=r"geom own .of body .* is no part of arm, whose own model"
+    ):
+        scene_from_mjcf(path, robot=robot)
+    assert not scene_from_mjcf(path, robot=robot, ignore=["own"]).mask.any()
+
+
+def test_what_is_soft_is_refused_by_name_in_scenes_and_arms(tmp_path):
+    pinned = """
+      <flexcomp name="cloth" type="grid" count="3 3 1" spacing=".1 .1 .1" dim="2">
+        <pin gridrange="0 0 2 2"/><edge equality="true"/>
+      </flexcomp>"""
+    path = written(tmp_path, f"<mujoco><worldbody>{pinned}</worldbody></mujoco>")
+    with pytest.raises(InputError, match=r"flex 'cloth' of .* is soft, which is not read; enclose"):
+        scene_from_mjcf(path)
+    assert not scene_from_mjcf(path, ignore=["cloth"]).mask.any()
+    with pytest.raises(InputError, match=r"flex 'cloth' of .* is soft, which no arm can be here"):
+        load_robot(written(tmp_path, arm(world=pinned), "soft.xml"))
 
 
 def test_a_nameless_body_of_the_world_is_not_the_robots(tmp_path):

@@ -244,6 +244,7 @@ def test_an_arm_that_holds_two_things_is_no_other_arm(tiny, holding, tmp_path):
         ({"shapes": []}, "shapes is empty; name what lower holds, or keep the arm as it is"),
         ({"shapes": THINGS["box"]}, r"shapes is Shape.* give a list of box\(...\)"),
         ({"shapes": [1]}, r"shapes is \[1\]; give a list of box"),
+        ({"shapes": [THINGS["box"]._replace(kind="cone")]}, "shapes has a 'cone'; there are only"),
         ({"shapes": [half_space([0, 0, 0], [0, 0, 1])]}, "is to hold a half_space, which has no"),
         ({"shapes": [sphere([0, 0, 0], -1.0)]}, "sphere 0 of what lower holds has radius"),
         (

@@ -39,7 +39,7 @@ scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.n
 scene.scene scene.batches scene.allowed scene.surfaces scene.octomap scene.units scene.scene_file
 scene.geometry scene.field scene.mujoco_world
 scene.pose scene.held scene.holding scene.messages scene.collision_objects
-scene.moveit scene.from_mjcf scene.any_file
+scene.moveit scene.robot_in_mjcf scene.from_mjcf scene.any_file
 collision.spheres collision.simplex collision.convex collision.exact collision.components
 collision.obstacles collision.hulls collision.bounds collision.link_frames
 collision.fused collision.mjx collision.points collision.cloud collision.edges

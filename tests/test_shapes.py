@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gnnjax.errors import InputError
 from gnnjax.plot import _obstacle_faces
 from gnnjax.scene import shapes
+from gnnjax.scene.cloud import Balls
 from gnnjax.scene.scene import scene_from_shapes
-from gnnjax.scene.shapes import KINDS, TABLES, box, capsule, cylinder, for_every_kind
+from gnnjax.scene.shapes import KINDS, TABLES, Shape, box, capsule, cylinder, for_every_kind, sphere
 
 # Whatever meets obstacles; a new one belongs here.
 CONSUMERS = {
@@ -69,6 +71,37 @@ def test_there_are_no_other_tables():
 def test_an_entry_that_is_no_kind_is_refused():
     with pytest.raises(TypeError, match=r"the cook has entries for \['pie'\], which are no"):
         for_every_kind("cook", **dict.fromkeys(KINDS, 1), pie=2)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "clouds", "message"),
+    [
+        (
+            [Shape("cone", {"center": [0, 0, 1]})],
+            (),
+            "has a 'cone'; there are only .'box', 'sphere'",
+        ),
+        (
+            [Balls(np.zeros((1, 3)), 0.1)],
+            (),
+            "shapes is .Balls.*; give a list of box.* as clouds of",
+        ),
+        (sphere([0, 0, 1], 0.1), (), "shapes is Shape.*; give a list of box"),
+        (
+            [],
+            Balls(np.zeros((1, 3)), 0.1),
+            "clouds of the scene is Balls.*; give a list of point_c",
+        ),
+        (
+            [],
+            [sphere([0, 0, 1], 0.1)],
+            "clouds of the scene is .Shape.*; give a list of point_cloud",
+        ),
+    ],
+)
+def test_what_is_no_shape_or_no_cloud_is_not_left_out_of_a_scene(shapes, clouds, message):
+    with pytest.raises(InputError, match=message):
+        scene_from_shapes(shapes, clouds=clouds)
 
 
 def area(faces):

@@ -45,6 +45,12 @@ ARM = """<?xml version="1.0"?>
   <joint name="flange" type="fixed"><parent link="lower"/><child link="tool"/></joint>
 </robot>
 """
+# A tetrahedron and a face with a corner that is no number.
+HOLED = (
+    b"ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\n"
+    b"property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    b"0 0 0\n1 0 0\n0 1 0\n0 0 1\nnan 0 9\n3 0 1 2\n3 2 3 4\n"
+)
 # Millimetres, of a box of 100 x 60 x 80 with a corner at the origin.
 CORNERS = np.array([(x, y, z) for x in (0, 100) for y in (0, 60) for z in (0, 80)], float)
 
@@ -221,6 +227,15 @@ def test_an_arm_that_others_publish_is_planned_for():
         ({"data": b"solid x\nvertex 1 two 3\n"}, "is no STL"),
         ({"data": b"solid x\nvertex nan 1 1\nvertex 1 1 1\nvertex 1 1 2\n"}, "flat or not finite"),
         ({"data": b"solid x\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"}, "is flat or not finite"),
+        (
+            {"text": ARM.replace('lower="-2" upper="2.5"', 'lower="2.5" upper="-2"')},
+            "joint shoulder of .* has the range 2.5 to -2; the second must be larger",
+        ),
+        (
+            {"text": ARM.replace('lower="-2" upper="2.5"', 'lower="0" upper="0"')},
+            "joint shoulder of .* has the range 0 to 0; the second must be larger",
+        ),
+        ({"data": HOLED, "mesh": "package://my_arm/meshes/a.ply", "name": "a.ply"}, "not finite"),
         ({"text": "<robot"}, "is no XML"),
         ({"text": "<mujoco/>"}, "begins with <mujoco>; a URDF begins with <robot>"),
         (

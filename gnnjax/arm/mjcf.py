@@ -117,6 +117,13 @@ def collision_geoms(model: mujoco.MjModel) -> np.ndarray:
     return np.flatnonzero(collides)
 
 
+def soft_bodies(model: mujoco.MjModel) -> list[str]:
+    """Names of the flexes (cloths, soft bodies) that MuJoCo collides with anything."""
+    collides = (model.flex_contype != 0) | (model.flex_conaffinity != 0)
+    flex = mujoco.mjtObj.mjOBJ_FLEX
+    return [mujoco.mj_id2name(model, flex, f) or "" for f in np.flatnonzero(collides).tolist()]
+
+
 def links_never_meet(model: mujoco.MjModel) -> bool:
     """Whether the bits of the collision geoms, meant for other things than the arm, pair none of
     its links though there are some that could meet."""

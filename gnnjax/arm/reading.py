@@ -9,7 +9,13 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.joints import choose_joints, hold_joints, joint_name
-from gnnjax.arm.mjcf import check_numbers, collision_geoms, links_never_meet, move_to_base
+from gnnjax.arm.mjcf import (
+    check_numbers,
+    collision_geoms,
+    links_never_meet,
+    move_to_base,
+    soft_bodies,
+)
 from gnnjax.arm.parts import geom_name
 from gnnjax.arm.urdf import read_urdf
 from gnnjax.errors import InputError
@@ -43,14 +49,26 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
         InputError: the file lacks what planning needs, or `joints` and `hold` do not fit it.
         ValueError: MuJoCo cannot read or compile it.
     """
-    given, said = {}, []
+    given, no_room, said = {}, {}, []
     if path.suffix == ".urdf":
-        spec, given, said = read_urdf(path)
+        spec, given, no_room, said = read_urdf(path)
     else:
         spec = mujoco.MjSpec.from_file(str(path))
     model, notes = spec.compile(), said
     check_numbers(model, path)
+    if soft := soft_bodies(model):
+        raise InputError(
+            f"flex {soft[0]!r} of {str(path)!r} is soft, which no arm can be here; remove it, or "
+            'let it collide with nothing (<contact contype="0" conaffinity="0"/>)'
+        )
     choice = choose_joints(model, path, joints, hold)
+    for name in (joint_name(model, j) for j in choice.planned):
+        if name in no_room:
+            lower, upper = no_room[name]
+            raise InputError(
+                f"joint {name} of {str(path)!r} has the range {lower:g} to {upper:g}; the second "
+                f"must be larger (without limits: continuous), or hold it, hold={{{name!r}: ...}}"
+            )
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     home = None
     if key >= 0:

@@ -28,7 +28,7 @@ from gnnjax.arm.joints import joint_name
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, brief
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _LOG = logging.getLogger(__name__)
@@ -131,15 +131,15 @@ def load_robot(
     robot: str | Path,
     *,
     joints: Sequence[str] | None = None,
-    hold: Mapping[str, float] | None = None,
-    allow: Sequence[tuple[str, str]] | None = None,
+    hold: Mapping | None = None,
+    allow: Sequence | None = None,
 ) -> Robot:
     """Loads a shipped robot by name, or any arm from the path of its MJCF (.xml) or URDF (.urdf).
 
     What the file leaves open is decided, logged and kept in `Robot.notes`. An MJCF may hold
     `<custom><numeric name="velocity_limit" data="..."/></custom>`, likewise `acceleration_limit`,
     and a keyframe called `home`; a URDF's limits `acceleration` or `drake:acceleration`. The same
-    arguments give the same object.
+    arguments give the same object, until that file changes.
 
     Args:
         robot: name or path.
@@ -152,17 +152,36 @@ def load_robot(
     Raises:
         InputError: unknown name, a broken file, or one that lacks what planning needs.
     """
+    if isinstance(joints, str):
+        raise InputError(f"joints is {joints!r}; give a list of names")
+    held = hold or {}
+    numbers = (int, float, np.number)
+    if not all(isinstance(x, numbers) for x in held.values()):
+        raise InputError(f'hold is {brief(hold)}; give numbers by names, such as {{"finger": 0.0}}')
+    pairs: tuple = tuple(allow or ())
+    if isinstance(allow, str) or not all(_is_pair(pair) for pair in pairs):
+        raise InputError(
+            f'allow is {brief(allow)}; give pairs of names of bodies, such as [("hand", "link_4")]'
+        )
+    path = Path(robot)
+    written = path.stat() if path.is_file() else None
     return _load(
-        Path(robot),
+        path,
+        written and (written.st_mtime_ns, written.st_size),
         None if joints is None else tuple(joints),
-        tuple(sorted((hold or {}).items())),
-        tuple((str(a), str(b)) for a, b in allow or ()),
+        tuple(sorted((name, float(value)) for name, value in held.items())),
+        tuple((str(a), str(b)) for a, b in pairs),
     )
+
+
+def _is_pair(pair: object) -> bool:
+    return isinstance(pair, tuple | list) and len(pair) == 2
 
 
 @functools.cache
 def _load(
     path: Path,
+    written: tuple[int, int] | None,  # when, and how much: a file that was edited is read anew
     joints: tuple[str, ...] | None,
     hold: tuple[tuple[str, float], ...],
     allow: tuple[tuple[str, str], ...],

@@ -9,6 +9,7 @@ import contextlib
 import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import NamedTuple
 from xml.parsers import expat
 
 import mujoco
@@ -32,9 +33,17 @@ _COMPILER = {
 _LIMITS = {"velocity": ("velocity",), "acceleration": ("acceleration", "drake:acceleration")}
 
 
-def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, dict[str, float]], list[str]]:
-    """Reads a URDF, the limits of "velocity" and "acceleration" of its joints by name, in rad or m
-    and s, and what there is to be said about it.
+class Urdf(NamedTuple):
+    """What a URDF holds."""
+
+    spec: mujoco.MjSpec
+    limits: dict[str, dict[str, float]]  # "velocity", "acceleration": by joint, rad or m, and s
+    no_room: dict[str, tuple[float, float]]  # ranges that leave a joint none, which MuJoCo drops
+    notes: list[str]  # what there is to be said about it
+
+
+def read_urdf(path: Path) -> Urdf:
+    """Reads a URDF.
 
     Raises:
         InputError: it is no URDF, or a mesh is missing or cannot be read.
@@ -78,7 +87,7 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, dict[str, dict[str, float]], l
             mesh.set("filename", names[file, scale])
     limits = {kind: _limits(root, names) for kind, names in _LIMITS.items()}
     text = ET.tostring(root, encoding="unicode")
-    return mujoco.MjSpec.from_string(text, assets=assets), limits, notes
+    return Urdf(mujoco.MjSpec.from_string(text, assets=assets), limits, _no_room(root), notes)
 
 
 def _parsed(data: bytes) -> ET.Element:
@@ -100,6 +109,19 @@ def _limits(root: ET.Element, names: tuple[str, ...]) -> dict[str, float]:
             with contextlib.suppress(ValueError):  # a word in place of a number is no limit
                 if 0 < float(word) < np.inf:
                     found[joint.get("name", "")] = float(word)
+    return found
+
+
+def _no_room(root: ET.Element) -> dict[str, tuple[float, float]]:
+    """Lower and upper limits of joints that have no room between them, by their names."""
+    found = {}
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        if joint.get("type") in ("revolute", "prismatic") and limit is not None:
+            with contextlib.suppress(ValueError):
+                lower, upper = (float(limit.get(side, "nan")) for side in ("lower", "upper"))
+                if lower >= upper:
+                    found[joint.get("name", "")] = lower, upper
     return found
 
 
@@ -185,7 +207,7 @@ def _by_trimesh(file: Path) -> np.ndarray:
             "(pip install trimesh pycollada)"
         ) from None
     try:
-        mesh = trimesh.load(str(file), force="mesh")
+        mesh = trimesh.load(str(file), force="mesh", process=False)
     except Exception as error:  # each of its readers raises its own
         raise InputError(f"mesh {str(file)!r} cannot be read: {error}; make it an STL") from None
     scale = 1.0

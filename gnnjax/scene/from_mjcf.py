@@ -1,26 +1,34 @@
 """Obstacles from MuJoCo models: what collides there and is not the robot, as its base sees it."""
 
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from gnnjax.arm.mjcf import collision_geoms, without_warnings
+from gnnjax.arm.mjcf import collision_geoms, soft_bodies, without_warnings
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.scene.cloud import Balls
 from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved, moved_points
+from gnnjax.scene.robot_in_mjcf import (
+    FREE,
+    PLANE,
+    base_of,
+    bodies_of,
+    fixed_geoms,
+    is_same,
+    stands_out,
+)
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import Shape, box, capsule, cylinder, half_space, sphere
 from gnnjax.scene.surfaces import enclosed, height_field
 
-_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _ORIGIN = np.zeros(3)
 # Geoms about their own frame, by their sizes. MuJoCo's planes are solid below, and endless whatever
 # their size.
 _SHAPES: dict[int, Callable[[np.ndarray], Shape]] = {
-    _PLANE: lambda size: half_space(_ORIGIN, [0.0, 0.0, 1.0]),
+    PLANE: lambda size: half_space(_ORIGIN, [0.0, 0.0, 1.0]),
     int(mujoco.mjtGeom.mjGEOM_SPHERE): lambda size: sphere(_ORIGIN, size[0]),
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): lambda size: capsule(_ORIGIN, size[0], size[1]),
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): lambda size: cylinder(_ORIGIN, size[0], size[1]),
@@ -51,8 +59,6 @@ _CLOUDS: dict[int, Callable[[mujoco.MjModel, int, Pose, str], Balls]] = {
     int(mujoco.mjtGeom.mjGEOM_MESH): _hull,
     int(mujoco.mjtGeom.mjGEOM_HFIELD): _height_field,
 }
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-_SAME = 1e-6  # m; where a geom of two models is the same
 
 
 def scene_from_mjcf(
@@ -74,14 +80,14 @@ def scene_from_mjcf(
 
     Args:
         path: of the MJCF.
-        robot: the arm that the model holds; its bodies are found by name.
-        ignore: names of bodies, with all that hangs on them, and of geoms.
+        robot: the arm that the model holds; its bodies are found by their names and places.
+        ignore: names of bodies, with all that hangs on them, of geoms and of flexes.
         keyframe: name of one; by default the model's own pose, `qpos0`.
 
     Raises:
-        InputError: a file that MuJoCo cannot read, a geom of another kind, a body that moves by a
-            hinge or slide joint though no robot is named, or one that the robot carries and does
-            not have, or a name that is not there.
+        InputError: a file that MuJoCo cannot read, a geom of another kind or a flex, a body that
+            moves by a hinge or slide joint though no robot is named, or one that the robot carries
+            and does not have, or a name that is not there.
     """
     called = f"{str(path)!r}"
     model = _compiled(path, called)
@@ -94,23 +100,35 @@ def scene_from_mjcf(
         mujoco.mj_resetDataKeyframe(model, data, key)
     mujoco.mj_kinematics(model, data)
     _check_ignored(model, ignore, called)
+    if soft := [name for name in soft_bodies(model) if not _named(name, ignore)]:
+        raise InputError(
+            f"flex {soft[0]!r} of {called} is soft, which is not read; enclose it in boxes, "
+            "spheres, capsules or cylinders, or name it in ignore"
+        )
     ignored = _subtrees(model, {b for b in range(1, model.nbody) if model.body(b).name in ignore})
-    of_robot, base, fixed = set(), IDENTITY, []
+    of_robot, base, fixed = {}, IDENTITY, []
     if robot is not None:
-        keys = _keys(robot.mj_model)
-        of_robot = {b for b, key in enumerate(_keys(model)) if b and key in keys[1:]}
-        base = _base(robot, model, data, called)
-        fixed = _fixed_geoms(robot.mj_model)
+        of_robot = bodies_of(robot, model)
+        base = base_of(robot, of_robot, model, data, called)
+        fixed = fixed_geoms(robot.mj_model)
     moving = _moving(model)
-    carried = _subtrees(model, of_robot & moving) - of_robot
+    carried = _subtrees(model, of_robot.keys() & moving) - of_robot.keys()
     to_base = inverse(base)
     found = []
     for g in collision_geoms(model).tolist():
         body = int(model.geom_bodyid[g])
-        if body in ignored or body in of_robot or _named(model.geom(g).name, ignore):
+        if body in ignored or _named(model.geom(g).name, ignore):
             continue
+        if robot is not None and body in of_robot:
+            if not stands_out(robot, of_robot[body], model, g):
+                continue
+            if body in moving:
+                raise InputError(
+                    f"{_name(model, g)} of {called} is no part of {robot.name}, whose own model "
+                    "lacks it; load the robot with it, or name it in ignore"
+                )
         pose = compose(to_base, _pose_of_geom(data, g))
-        if any(_is_same(model, g, pose, *other) for other in fixed):
+        if any(is_same(model, g, pose, *other) for other in fixed):
             continue
         inside = f"body {model.body(body).name or body} of {called}"
         if body in carried and robot is not None:
@@ -140,14 +158,12 @@ def scene_from_mjcf(
 
 
 def mjcf_holds(path: str | Path, robot: Robot) -> bool:
-    """Whether a MuJoCo model holds a robot, or a body called like one of its first.
+    """Whether a MuJoCo model holds a robot.
 
     Raises:
         InputError: a file that MuJoCo cannot read.
     """
-    own, there = robot.mj_model, _keys(_compiled(path, f"{str(path)!r}"))
-    first = [key for b, key in enumerate(_keys(own)) if b and not own.body_parentid[b]]
-    return any(key in there for key in first)
+    return bool(bodies_of(robot, _compiled(path, f"{str(path)!r}")))
 
 
 def _compiled(path: str | Path, called: str) -> mujoco.MjModel:
@@ -170,7 +186,7 @@ def _check_ignored(model: mujoco.MjModel, ignore: Collection[str], called: str) 
     bodies = [model.body(b).name for b in range(1, model.nbody)]
     geoms = [model.geom(g).name for g in range(model.ngeom)]
     for name in ignore:
-        if not _named(name, {*bodies, *geoms}):
+        if not _named(name, {*bodies, *geoms, *soft_bodies(model)}):
             known = [x for x in bodies if x], [x for x in geoms if x]
             raise InputError(
                 f"no body or geom {name!r} to ignore in {called}; its bodies are {known[0]}, its "
@@ -192,71 +208,9 @@ def _moving(model: mujoco.MjModel) -> set[int]:
     jointed = {
         int(body)
         for body, kind in zip(model.jnt_bodyid, model.jnt_type, strict=True)
-        if int(kind) != _FREE
+        if int(kind) != FREE
     }
     return _subtrees(model, jointed)
-
-
-def _keys(model: mujoco.MjModel) -> list[Hashable]:
-    """What bodies of two models are compared by: their names, or else their place among the
-    nameless ones of a parent."""
-    keys: list[Hashable] = ["world"]
-    nameless: dict[Hashable, int] = {}
-    for b in range(1, model.nbody):
-        name = model.body(b).name
-        if not name:
-            parent = keys[int(model.body_parentid[b])]
-            nameless[parent] = nameless.get(parent, 0) + 1
-            # Nothing tells a nameless body of the world from another model's.
-            where: Hashable = parent if parent != "world" else object()
-            keys.append((where, nameless[parent]))
-            continue
-        keys.append(name)
-    return keys
-
-
-def _base(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData, called: str) -> Pose:
-    """Where the robot's base is in the world of a model that holds it."""
-    own, keys = robot.mj_model, _keys(model)
-    for b, key in enumerate(_keys(own)):
-        if not b or own.body_parentid[b] or key not in keys:
-            continue
-        there = keys.index(key)
-        if model.body_jntnum[there] and int(model.jnt_type[model.body_jntadr[there]]) != _FREE:
-            # The first link of an arm whose base is the world: as its joints are at zero.
-            parent = int(model.body_parentid[there])
-            outer = Pose(data.xpos[parent].copy(), data.xquat[parent].copy())
-            found = compose(outer, Pose(model.body_pos[there], model.body_quat[there]))
-        else:
-            found = Pose(data.xpos[there].copy(), data.xquat[there].copy())
-        return compose(found, inverse(Pose(own.body_pos[b], own.body_quat[b])))
-    raise InputError(
-        f"{called} holds none of the first bodies of {robot.name} "
-        f"({[own.body(b).name for b in range(1, min(own.nbody, 4))]}); leave robot out where the "
-        "robot is not in the file, and the world is its base"
-    )
-
-
-def _fixed_geoms(model: mujoco.MjModel) -> list[tuple[int, np.ndarray, Pose]]:
-    """Kind, sizes and pose of what a robot's own file has in its world, where no body names it. A
-    plane is no part of a robot."""
-    return [
-        (int(model.geom_type[g]), model.geom_size[g], Pose(model.geom_pos[g], model.geom_quat[g]))
-        for g in collision_geoms(model)
-        if model.geom_bodyid[g] == 0 and model.geom_type[g] != _PLANE
-    ]
-
-
-def _is_same(
-    model: mujoco.MjModel, g: int, pose: Pose, kind: int, size: np.ndarray, other: Pose
-) -> bool:
-    """Whether a geom is one of the robot's fixed geoms."""
-    return (
-        int(model.geom_type[g]) == kind
-        and np.allclose(model.geom_size[g], size, atol=_SAME)
-        and np.allclose(pose.position, other.position, atol=_SAME)
-        and bool(abs(pose.quat @ other.quat) > 1 - _SAME)
-    )
 
 
 def _pose_of_geom(data: mujoco.MjData, g: int) -> Pose:

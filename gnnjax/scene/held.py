@@ -11,9 +11,9 @@ from gnnjax.arm.covers import OVERSHOOT, chain_cover
 from gnnjax.arm.fit import Cover
 from gnnjax.arm.parts import Part, quat_to_matrix
 from gnnjax.errors import InputError, brief
-from gnnjax.scene.numbers import sums_from, unit_quats
+from gnnjax.scene.numbers import check_shapes, sums_from, unit_quats
 from gnnjax.scene.pose import IDENTITY, Pose, compose
-from gnnjax.scene.shapes import KINDS, Shape, for_every_kind
+from gnnjax.scene.shapes import KINDS, for_every_kind
 
 _ALL_BITS = -1  # of contype and conaffinity: it meets whatever bits the arm's author chose
 
@@ -89,8 +89,7 @@ def pose_from(pose: Sequence | None) -> Pose:
 
 def items_from(shapes: Sequence, pose: Pose, body: str) -> list[Item]:
     """Shapes as MuJoCo has them, in the frame of the body."""
-    if isinstance(shapes, Shape) or not all(isinstance(x, Shape) for x in shapes):
-        raise InputError(f"shapes is {brief(shapes)}; give a list of box(...), sphere(...), ...")
+    check_shapes(shapes, "shapes")
     if not shapes:
         raise InputError(f"shapes is empty; name what {body} holds, or keep the arm as it is")
     items = []

@@ -4,9 +4,30 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gnnjax.errors import InputError, as_typed
+from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.scene.cloud import MOST_METERS
-from gnnjax.scene.shapes import FIELDS, HALF_SPACE, IDENTITY_QUAT, PLURALS, SIZES, Sums, sums_of
+from gnnjax.scene.shapes import (
+    FIELDS,
+    HALF_SPACE,
+    IDENTITY_QUAT,
+    KINDS,
+    PLURALS,
+    SIZES,
+    Shape,
+    Sums,
+    sums_of,
+)
+
+
+def check_shapes(shapes: Sequence, called: str) -> None:
+    """Refuses what is no list of shapes, and shapes of no kind: nobody would read them."""
+    if isinstance(shapes, Shape) or not all(isinstance(x, Shape) for x in shapes):
+        raise InputError(
+            f"{called} is {brief(shapes)}; give a list of box(...), sphere(...), ..., and what "
+            "mesh(...) and the like make as clouds of a scene"
+        )
+    if unknown := [x.kind for x in shapes if x.kind not in KINDS]:
+        raise InputError(f"{called} has a {brief(unknown[0])}; there are only {list(KINDS)}")
 
 
 def sums_from(kind: str, columns: dict[str, Sequence | np.ndarray], source: str) -> Sums:

@@ -38,7 +38,12 @@ def points_from_file(path: str | Path) -> np.ndarray:
             raise InputError(f"{called} holds {sorted(arrays)}; name one of these `points`")
         points = arrays.get("points", next(iter(arrays.values())))
     elif ending == ".ply":
-        points = np.asarray(getattr(by_trimesh(file, called, "points"), "vertices", ()))
+        loaded = by_trimesh(file, called, "points")
+        if num := len(getattr(loaded, "faces", ())):
+            raise InputError(
+                f"{called} has {num} faces, which points leave open; give it as a mesh"
+            )
+        points = np.asarray(getattr(loaded, "vertices", ()))
     else:
         raise InputError(f"{called} is none of .npy, .npz, .pcd and .ply; convert it")
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
@@ -61,8 +66,13 @@ def _read_pcd(file: Path, called: str) -> np.ndarray:
         repeated = list(map(int, header.get("COUNT", ["1"] * len(fields))))
         where = [fields.index(axis) for axis in "xyz"]
         if form == "ascii":
-            rows = np.loadtxt(content[at:].decode("ascii").splitlines(), ndmin=2)
+            lines = content[at:].decode("ascii").split("\n")
             begin = np.cumsum([0, *repeated])
+            rows = np.zeros((0, begin[-1]))
+            if any(line.strip() for line in lines):
+                rows = np.loadtxt(lines, ndmin=2)
+            if len(rows) < count:
+                raise ValueError(f"it holds {len(rows)} of {count} points")
             return rows[:count, begin[where]]
         if form == "binary":
             kinds = zip(fields, header["TYPE"], header["SIZE"], repeated, strict=True)
@@ -91,9 +101,9 @@ def by_trimesh(file: Path, called: str, what: str) -> Any:
             f"{called} is read by trimesh, which is missing; pip install trimesh"
         ) from None
     try:
-        loaded = (
-            trimesh.load(str(file), force="mesh") if what == "mesh" else trimesh.load(str(file))
-        )
+        # As it is: by itself, trimesh leaves out what is not finite.
+        form = {"force": "mesh"} if what == "mesh" else {}
+        loaded = trimesh.load(str(file), process=False, **form)
     except Exception as error:  # whatever its readers of many formats raise
         raise InputError(f"{called} cannot be read ({error}); mend or convert it") from None
     if what == "mesh" and not (

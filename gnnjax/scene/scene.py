@@ -9,14 +9,13 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, brief
 from gnnjax.scene.cloud import Balls, Cloud, make_cloud
-from gnnjax.scene.numbers import sums_from
+from gnnjax.scene.numbers import check_shapes, sums_from
 from gnnjax.scene.shapes import (
     FIELDS,
     IDENTITY_QUAT,
     KINDS,
-    Shape,
     Sums,
     kind_of,
 )
@@ -71,9 +70,9 @@ def box_bucket(num: int, source: str = "the scene") -> int:
 
 
 def scene_from_shapes(
-    shapes: Sequence[Shape],
+    shapes: Sequence,
     *,
-    clouds: Sequence[Balls] = (),
+    clouds: Sequence = (),
     max_boxes: int | None = None,
     source: str = "the scene",
 ) -> Scene:
@@ -87,9 +86,15 @@ def scene_from_shapes(
         source: how error messages call the scene, a file name for example.
 
     Raises:
-        InputError: a number that is missing, not finite or beyond 10 km, a size that is not
-            positive, a quaternion or normal of zeros.
+        InputError: what is no shape or no cloud; a number that is missing, not finite or beyond 10
+            km, a size that is not positive, a quaternion or normal of zeros.
     """
+    check_shapes(shapes, "shapes")
+    if isinstance(clouds, Balls) or not all(isinstance(balls, Balls) for balls in clouds):
+        raise InputError(
+            f"clouds of {source} is {brief(clouds)}; give a list of point_cloud(...), mesh(...), "
+            "..."
+        )
     parts = []
     for kind in KINDS:
         chosen = [shape.values for shape in shapes if shape.kind == kind]

@@ -1,0 +1,156 @@
+"""The arm in a MuJoCo model of a scene: which bodies and geoms there are its own, and its base."""
+
+from collections.abc import Hashable
+
+import mujoco
+import numpy as np
+
+from gnnjax.arm.mjcf import collision_geoms
+from gnnjax.arm.parts import part_of_geom
+from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError
+from gnnjax.scene.pose import Pose, compose, inverse
+
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+# What is left out of arms, whichever of their bodies has it.
+_GROUND = (PLANE, int(mujoco.mjtGeom.mjGEOM_HFIELD))
+_SAME = 1e-6  # m; where a geom of two models is the same
+_SAME_PLACE = 1e-3  # m; where a link of two models hangs in the same place
+_STANDS_OUT = 0.02  # m; two models of one arm differ by less
+
+
+def bodies_of(robot: Robot, model: mujoco.MjModel) -> dict[int, int]:
+    """The robot's bodies in a model, by their ids, and which of its own they are; none where the
+    robot is not there.
+
+    Names alone do not tell: what stands around may be called like a link, and would be planned
+    through. So links hang on each other as in the robot's own model, and one of them at least where
+    it does there.
+    """
+    own, found = robot.mj_model, dict[int, int]()
+    numbers = {key: b for b, key in enumerate(_keys(own)) if b}
+    for b, key in enumerate(_keys(model)):
+        if b and key in numbers:
+            above = int(model.body_parentid[b])
+            while above and above not in found:
+                above = int(model.body_parentid[above])
+            if found.get(above, 0) in _above(own, numbers[key]):
+                found[b] = numbers[key]
+    return found if any(_hangs_alike(own, model, found, b) for b in found) else {}
+
+
+def _above(own: mujoco.MjModel, b: int) -> list[int]:
+    """Where a first body hangs, or one of the links that another one hangs on."""
+    above = [int(own.body_parentid[b])]
+    while above[-1]:
+        above.append(int(own.body_parentid[above[-1]]))
+    return above[:-1] or above
+
+
+def _hangs_alike(own: mujoco.MjModel, model: mujoco.MjModel, found: dict[int, int], b: int) -> bool:
+    """Whether a body is a moving link, in its place on the one before it."""
+    parent, its = int(own.body_parentid[found[b]]), int(model.body_parentid[b])
+    if not own.body_weldid[found[b]]:
+        return False
+    if not parent:  # the first link of an arm whose base is the world has its joint, somewhere
+        return bool(model.body_jntnum[b])
+    apart = np.linalg.norm(own.body_pos[found[b]] - model.body_pos[b])
+    return found.get(its) == parent and bool(apart < _SAME_PLACE)
+
+
+def stands_out(robot: Robot, body: int, model: mujoco.MjModel, g: int) -> bool:
+    """Whether a geom of a robot's body in a model is none that its own model has there: a table
+    that is a part of its base, say, or a tool.
+
+    Args:
+        robot: the arm.
+        body: of `robot.mj_model`.
+        model: which holds the robot.
+        g: a geom of that body there.
+    """
+    if int(model.geom_type[g]) in _GROUND:
+        return True
+    own = [part for part in robot.parts if part.body == body - 1]
+    if not own:
+        return True
+    part = part_of_geom(model, g, robot.path)
+    low = np.min([x.vertices.min(axis=0) - x.radius for x in own], axis=0) - _STANDS_OUT
+    high = np.max([x.vertices.max(axis=0) + x.radius for x in own], axis=0) + _STANDS_OUT
+    inside = (part.vertices - part.radius > low) & (part.vertices + part.radius < high)
+    return not bool(inside.all())
+
+
+def _keys(model: mujoco.MjModel) -> list[Hashable]:
+    """What bodies of two models are compared by: their names, or else their place among the
+    nameless ones of a parent."""
+    keys: list[Hashable] = ["world"]
+    nameless: dict[Hashable, int] = {}
+    for b in range(1, model.nbody):
+        name = model.body(b).name
+        if not name:
+            parent = keys[int(model.body_parentid[b])]
+            nameless[parent] = nameless.get(parent, 0) + 1
+            # Nothing tells a nameless body of the world from another model's.
+            where: Hashable = parent if parent != "world" else object()
+            keys.append((where, nameless[parent]))
+            continue
+        keys.append(name)
+    return keys
+
+
+def base_of(
+    robot: Robot,
+    bodies: dict[int, int],
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    called: str,
+) -> Pose:
+    """Where the robot's base is in the world of a model that holds it.
+
+    Args:
+        robot: the arm.
+        bodies: its own, of `bodies_of`.
+        model: which holds the robot.
+        data: of the model.
+        called: how error messages call it.
+    """
+    own = robot.mj_model
+    for there, b in bodies.items():
+        if own.body_parentid[b]:
+            continue
+        if model.body_jntnum[there] and int(model.jnt_type[model.body_jntadr[there]]) != FREE:
+            # The first link of an arm whose base is the world: as its joints are at zero.
+            parent = int(model.body_parentid[there])
+            outer = Pose(data.xpos[parent].copy(), data.xquat[parent].copy())
+            found = compose(outer, Pose(model.body_pos[there], model.body_quat[there]))
+        else:
+            found = Pose(data.xpos[there].copy(), data.xquat[there].copy())
+        return compose(found, inverse(Pose(own.body_pos[b], own.body_quat[b])))
+    raise InputError(
+        f"{called} holds none of the first bodies of {robot.name} "
+        f"({[own.body(b).name for b in range(1, min(own.nbody, 4))]}) with its links in their "
+        "places; leave robot out where the robot is not in the file, and the world is its base"
+    )
+
+
+def fixed_geoms(model: mujoco.MjModel) -> list[tuple[int, np.ndarray, Pose]]:
+    """Kind, sizes and pose of what a robot's own file has in its world, where no body names it. A
+    plane is no part of a robot."""
+    return [
+        (int(model.geom_type[g]), model.geom_size[g], Pose(model.geom_pos[g], model.geom_quat[g]))
+        for g in collision_geoms(model)
+        if model.geom_bodyid[g] == 0 and model.geom_type[g] != PLANE
+    ]
+
+
+def is_same(
+    model: mujoco.MjModel, g: int, pose: Pose, kind: int, size: np.ndarray, other: Pose
+) -> bool:
+    """Whether a geom is one of the robot's fixed geoms."""
+    return (
+        int(model.geom_type[g]) == kind
+        and np.allclose(model.geom_size[g], size, atol=_SAME)
+        and np.allclose(pose.position, other.position, atol=_SAME)
+        and bool(abs(pose.quat @ other.quat) > 1 - _SAME)
+    )
