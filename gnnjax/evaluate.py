@@ -58,7 +58,7 @@ class EvaluateConfig(PlannerOptions):
     json: Path
     """Where results go; goes on with what is there if it has the same settings."""
     robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF."""
+    """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
     """JSON file with what the arm holds, as for gnnjax.plan."""
     rest_share: float | None = None

@@ -30,7 +30,7 @@ class ExecuteConfig:
     trajectory: Path
     """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json)."""
     robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF."""
+    """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
     """JSON file with what the arm holds, as for planning; the controller knows its mass."""
     controller: str = "computed_torque"

@@ -25,7 +25,7 @@ from gnnjax.planning.options import PlannerOptions, check_options
 from gnnjax.planning.query import Plan, plan_valid
 from gnnjax.planning.strategy import Strategy
 from gnnjax.planning.walks import Compiled, Walks, compile_strategy
-from gnnjax.pose.goal import PoseGoal
+from gnnjax.pose.goal import PoseGoal, check_goal
 from gnnjax.pose.inverse import prepare
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene, inflated, is_axis_aligned
@@ -100,6 +100,7 @@ class Planner(abc.ABC):
         margin, seed = self.options.margin, check_seed(seed)
         compile_certificates(self.robot)  # times hold no compilation
         if goal_pose is not None:
+            check_goal(goal_pose)
             prepare(self.robot, goal_pose.frame)
         begin = time.perf_counter()
         start, ends = find_goals(self.robot, scene, start, goal, goals, goal_pose, margin, seed)
