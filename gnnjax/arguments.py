@@ -14,6 +14,11 @@ from gnnjax.errors import InputError
 
 _Config = TypeVar("_Config")
 _COLOR = re.compile(r"\x1b\[[0-9;]*m")
+# Of an option that may be left out, or takes values of a kind.
+_NO_TYPE = re.compile(
+    r"(\S+): no type matching \{None\}\|\{?\[?([^{}]*?\]?)\]?\}? could be instantiated from "
+    r"(\[.*\])"
+)
 _RULE = re.compile(r"^ *[─-]{9,}$", re.MULTILINE)
 
 
@@ -68,5 +73,9 @@ def _sentence(said: str) -> str:
             found.append(f"perhaps you meant {' or '.join(dict.fromkeys(named))}")
         elif heading != "Argument helptext" and not part.startswith("For full helptext"):
             fault = " ".join(part.partition("Got errors:")[0].split()).rstrip(" .")
-            found.append(fault.removeprefix("Error parsing "))
+            fault = fault.removeprefix("Error parsing ")
+            if several := _NO_TYPE.fullmatch(fault):
+                option, wanted, given = several.groups()
+                fault = f"{option} takes {wanted}, not {given}"
+            found.append(fault)
     return "; ".join(found)

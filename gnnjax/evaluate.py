@@ -25,7 +25,7 @@ import numpy as np
 from gnnjax.arguments import parse_arguments
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_command
-from gnnjax.files import check_target, locked
+from gnnjax.files import check_apart, check_target, locked
 from gnnjax.measure.batches import Batches
 from gnnjax.measure.machine import describe_machine
 from gnnjax.measure.result_files import (
@@ -58,7 +58,7 @@ class EvaluateConfig(PlannerOptions):
     json: Path
     """Where results go; goes on with what is there if it has the same settings."""
     robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF."""
+    """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
     """JSON file with what the arm holds, as for gnnjax.plan."""
     rest_share: float | None = None
@@ -107,6 +107,7 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     _check_processes(config)
     check_seed(config.seed)
     check_target(config.json)
+    check_apart((config.json, config.figure), (config.problems, config.attach, config.robot))
     place = config.cluster.place()
     planner = planner or planner_for(config)
     problems = StoredProblems(config.problems, planner.robot)

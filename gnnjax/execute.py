@@ -11,6 +11,7 @@ from rich.table import Table
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import needs_extra, run_command
+from gnnjax.files import check_apart
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import load_arm
 from gnnjax.trajectory.execution import Execution, execute_trajectory, motion_clearance
@@ -29,7 +30,7 @@ class ExecuteConfig:
     trajectory: Path
     """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json)."""
     robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF."""
+    """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
     """JSON file with what the arm holds, as for planning; the controller knows its mass."""
     controller: str = "computed_torque"
@@ -58,6 +59,10 @@ class ExecuteConfig:
 def main(config: ExecuteConfig) -> int:
     """Simulates, prints what became of the motion and writes the files; returns 1 where something
     was touched, or the arm does not arrive."""
+    check_apart(
+        (config.figure, config.video),
+        (config.scene, config.trajectory, config.attach, config.robot),
+    )
     robot = load_arm(config.robot, config.attach)
     points = load_trajectory(robot, config.trajectory)
     scene = read_scene(config.scene, robot)

@@ -12,7 +12,7 @@ import tempfile
 import time
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,6 +43,25 @@ def check_target(path: str | Path) -> Path:
             f"{str(path)!r} cannot be made, as {str(folder)!r} is a file; name a folder"
         )
     return path
+
+
+def check_apart(written: Sequence[Path | None], read: Sequence[str | Path | None] = ()) -> None:
+    """Refuses a file that would be written over another one of the same command.
+
+    Args:
+        written: files of the command, None where it writes none.
+        read: what it reads, which it must not replace.
+    """
+    taken = {Path(path).resolve(): "read from" for path in read if path is not None}
+    for path in written:
+        if path is None:
+            continue
+        where = path.resolve()
+        if where in taken:
+            raise InputError(
+                f"{str(path)!r} would be written, and is also {taken[where]}; name another file"
+            )
+        taken[where] = "written otherwise"
 
 
 def atomic_write(path: str | Path, write: Callable[[Path], object]) -> None:

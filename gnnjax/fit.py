@@ -21,7 +21,7 @@ from gnnjax.arguments import parse_arguments
 from gnnjax.arm.covers import Rows, cover_file, save_cover
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, needs_extra, run_command
-from gnnjax.files import atomic_write, check_target
+from gnnjax.files import atomic_write, check_apart, check_target
 
 _ROUNDING = 1e-5  # m by which saved spheres are larger: an MJCF has six digits
 
@@ -46,6 +46,7 @@ def fit(config: FitConfig) -> Robot:
         check_target(config.out)
         if config.out.suffix != ".xml":
             raise InputError(f"out is {str(config.out)!r}; its name must end in .xml, of an MJCF")
+    check_apart((config.out, config.picture), (config.robot,))
     draw_cover = None
     if config.picture is not None:
         with needs_extra("--picture", "viz"):

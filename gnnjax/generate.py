@@ -62,7 +62,7 @@ class GenerateConfig:
     family: Family = "paper"
     """Kind of scenes: the paper's boxes, or structures that leave little room."""
     robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF."""
+    """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
     """JSON file with what the arm holds, as for gnnjax.plan."""
     rest_share: float | None = None

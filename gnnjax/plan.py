@@ -8,7 +8,7 @@ import tyro
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.errors import needs_extra, run_command
-from gnnjax.files import atomic_write, check_target
+from gnnjax.files import atomic_write, check_apart, check_target
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.query_options import QueryOptions, read_query, read_robot
@@ -44,6 +44,10 @@ def main(config: PlanConfig) -> int:
     """Plans, prints a summary and writes the files; returns 1 where there is no path."""
     # All that can be refused is refused before planning, which may take a minute.
     check_target(config.out)
+    check_apart(
+        (config.out, config.image, config.trajectory, config.video),
+        (config.scene, config.request, config.attach, config.robot),
+    )
     robot, start, goal, scene = read_query(config, read_robot(config, config.torque))
     moves = config.trajectory is not None or config.video is not None
     if config.trajectory is not None:

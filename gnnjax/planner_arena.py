@@ -14,7 +14,7 @@ import tyro
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.errors import InputError, run_command
-from gnnjax.files import atomic_write, check_target
+from gnnjax.files import atomic_write, check_apart, check_target
 from gnnjax.measure.result_files import read_results
 from gnnjax.measure.table import title_of
 
@@ -58,23 +58,44 @@ def planner_arena(config: ArenaConfig) -> Path:
     if not config.results:
         raise InputError("no results are named; give files that gnnjax.evaluate has written")
     check_target(config.out)
+    check_apart((config.out,), config.results)
     all_results = [read_results(path) for path in config.results]
-    atomic_write(config.out, lambda file: _write(file, all_results))
+    stems = [path.stem for path in config.results]
+    names = _names([results["settings"] for results in all_results], stems)
+    atomic_write(config.out, lambda file: _write(file, all_results, names))
     return config.out
 
 
-def _write(file: Path, all_results: list[dict[str, Any]]) -> None:
+def _names(all_settings: list[dict[str, Any]], stems: list[str]) -> list[str]:
+    """What planners are called: runs of one name are taken for one planner's, whatever its seed."""
+    titles = [title_of(settings) for settings in all_settings]
+    apart = "seed problems num_problems time_limit robot attach rest_share radius".split()
+    own = [{k: v for k, v in settings.items() if k not in apart} for settings in all_settings]
+    alike = [
+        all(theirs == mine for theirs, other in zip(own, titles, strict=True) if other == title)
+        for mine, title in zip(own, titles, strict=True)
+    ]
+    named = zip(titles, stems, alike, strict=True)
+    return [title if same else f"{title} ({stem})" for title, stem, same in named]
+
+
+def _write(file: Path, all_results: list[dict[str, Any]], names: list[str]) -> None:
     with contextlib.closing(sqlite3.connect(file)) as database, database:
         database.executescript(_TABLES)
         rows = [("status", value, words) for value, words in enumerate(_STATUSES)]
         database.executemany("INSERT INTO enums VALUES (?, ?, ?)", rows)
         experiments: dict[tuple, int] = {}
-        for results in all_results:
+        for results, called in zip(all_results, names, strict=True):
             settings, machine = results["settings"], results["machine"]
             valid = [row for row in results["problems"] if row["valid"]]
             spent = sum(row["total_time_s"] for row in valid)
             name = f"{settings['robot']} {Path(settings['problems']).stem}"
-            key = name, settings["num_problems"], settings["time_limit"], json.dumps(machine)
+            # Versions of what plans may differ: OMPL's planners are compared with ours.
+            key = (
+                *(name, settings["num_problems"], settings["time_limit"]),
+                *(str(settings.get(held)) for held in ("attach", "rest_share")),
+                *(machine.get(part) for part in ("processor", "cores", "device", "gnnjax")),
+            )
             if key not in experiments:
                 made = database.execute(
                     "INSERT INTO experiments VALUES (NULL, ?, 0, ?, 0, ?, ?, '', ?, NULL, ?, ?)",
@@ -95,7 +116,7 @@ def _write(file: Path, all_results: list[dict[str, Any]]) -> None:
             )
             planner = database.execute(
                 "INSERT INTO plannerConfigs VALUES (NULL, ?, ?)",
-                (title_of(settings), json.dumps(settings)),
+                (called, json.dumps(settings)),
             )
             database.executemany(
                 f"INSERT INTO runs VALUES (NULL{', ?' * 12})",

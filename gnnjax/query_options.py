@@ -40,7 +40,7 @@ class QueryOptions:
     request: Path | None = None
     """MoveIt's motion plan request (.yaml), in place of start and goal."""
     robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF."""
+    """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
     """JSON file with what the arm holds: {"body": NAME, "boxes": [...]}, lists as in a scene, in
     the frame of that body; "mass" (kg) and "allow" (bodies that it may touch) if need be."""

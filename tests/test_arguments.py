@@ -50,7 +50,7 @@ def test_a_command_line_becomes_a_configuration():
             [*GOOD, "--split", "all"],
             "invalid choice 'all' for argument '--split'. Expected one of ('train', 'test'); do",
         ),
-        ([*GOOD, "--goal", "a"], "--goal: no type matching"),
+        ([*GOOD, "--goal", "a"], "--goal takes FLOAT [FLOAT ...], not ['a']; do"),
     ],
 )
 def test_what_is_wrong_is_one_sentence(monkeypatch, columns, in_box, args, message):

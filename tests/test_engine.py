@@ -91,10 +91,30 @@ def test_plans_do_not_depend_on_the_order(planner, problems, plans):
 def test_a_problem_that_is_none_leaves_the_others_alone(planner, problems, plans):
     start = problems.start.copy()
     start[3] = np.nan
-    found = planner.plan_batch(problems._replace(start=start))
-    assert not found[3].success
+    bad = problems._replace(start=start)
     others = [i for i in range(NUM) if i != 3]
-    assert same([found[i] for i in others], [plans[i] for i in others])
+    for plan in (planner.plan_batch, lambda bad: planner._plan_batch(bad, 0)):
+        found = plan(bad)
+        assert not found[3].success
+        assert same([found[i] for i in others], [plans[i] for i in others])
+
+
+def test_a_batch_says_of_each_invalid_problem_what_plan_says_of_it(planner, problems, plans):
+    scene, start, goal = problems.scene, problems.start.copy(), problems.goal.copy()
+    start[1], goal[2] = 9.0, np.nan
+    half_extents = scene.half_extents.copy()
+    half_extents[4, 0] = np.nan
+    bad = problems._replace(start=start, goal=goal, scene=scene._replace(half_extents=half_extents))
+    found = planner.plan_batch(bad)
+    said = ["start has 9 for joint a", "goal has nan for joint a", "half_extents and radii [nan"]
+    for i, words in zip((1, 2, 4), said, strict=True):
+        assert words in found[i].reason
+        assert (found[i].success, found[i].configuration_checks) == (False, 0)
+    with pytest.raises(InputError) as error:
+        planner.plan(one(scene, 1), start[1], goal[1])
+    assert found[1].reason == str(error.value)
+    assert same([found[0], found[3], *found[5:]], [plans[0], plans[3], *plans[5:]])
+    assert planner.plan_batch(jax.tree.map(lambda x: x[:0], problems)) == []
 
 
 def test_every_check_is_counted_once(planner, problems, monkeypatch):

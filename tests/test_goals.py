@@ -178,11 +178,22 @@ def test_a_margin_is_kept_at_the_pose(tiny_path):
             {"goal_pose": PoseGoal([[0.5, 0, 0]] * 2, [[1.0, 0, 0, 0]] * 2)},
             "the pose has the position .*; plan to one pose",
         ),
+        ({"goal_pose": PoseGoal([0.5, 0, 0], [1, 0, 0, 0], free=None)}, "has free axes None; give"),  # pyright: ignore[reportArgumentType]
+        (
+            {"goal_pose": PoseGoal([0.5, 0, 0], [1, 0, 0, 0], tolerance="a")},
+            "tolerance is .*; give",
+        ),  # pyright: ignore[reportArgumentType]
     ],
 )
 def test_bad_goals_are_refused(planner, ends, message):
     with pytest.raises(InputError, match=message):
         planner.plan(make_scene(**BOX), START, **ends)
+
+
+def test_what_is_missing_to_the_least_tolerance_is_not_said_to_be_nothing(planner):
+    pose = PoseGoal(place(planner.robot, [0.8, 0.3, 0.2]), [1.0, 0, 0, 0], free=TURNS)
+    with pytest.raises(InputError, match=r"at the nearest it is \d\S*e-\d+ mm"):
+        planner.plan(make_scene(**BOX), START, goal_pose=pose._replace(tolerance=(1e-12, 1.0)))
 
 
 def test_a_bad_start_is_named_before_the_goals(planner):

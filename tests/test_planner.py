@@ -265,6 +265,8 @@ def test_the_clearance_of_a_plan_is_at_least_the_margin_and_that_of_none_is_refu
         ({"out": "scene.json/path.npz"}, r"'scene.json' is a file; name a folder"),
         ({"image": "plan.xyz"}, r"picture 'plan.xyz' has no known ending; there are \["),
         ({"image": "plan"}, "picture 'plan' has no known ending"),
+        ({"out": "scene.json"}, "'scene.json' would be written, and is also read from; name anot"),
+        ({"image": "p.png", "out": "p.png"}, "'p.png' would be written, and is also written other"),
         ({"planner": "magic"}, "no planner 'magic'; there are"),
         ({"scene": "missing.json"}, "no scene file 'missing.json'"),
         ({"seed": -1}, "seed is -1"),

@@ -1,5 +1,6 @@
 """Results become a database with the tables that Planner Arena reads."""
 
+import contextlib
 import json
 import sqlite3
 
@@ -58,7 +59,11 @@ def write(path, **changes):
 def test_runs_are_those_of_the_files_by_problems_and_planner(tmp_path):
     files = [
         write(tmp_path / "a.json"),
-        write(tmp_path / "b.json", settings={"planner": "ompl:rrt_connect", "simplify": True}),
+        write(
+            tmp_path / "b.json",
+            settings={"planner": "ompl:rrt_connect", "simplify": True},
+            machine={"gnnjax": "0.2.0", "processor": "some", "ompl": "2.0.1"},
+        ),
         write(tmp_path / "c.json", settings={"problems": "data/other.npz"}),
     ]
     out = planner_arena(ArenaConfig(results=tuple(files), out=tmp_path / "arena.db"))
@@ -88,11 +93,40 @@ def test_runs_are_those_of_the_files_by_problems_and_planner(tmp_path):
     database.close()
 
 
+def test_planners_of_one_title_are_told_apart_but_for_their_seeds(tmp_path):
+    dear = {"settings": {"check_cost": 1000.0}}
+    files = [write(tmp_path / "a.json"), write(tmp_path / "dear.json", **dear)]
+    files += [write(tmp_path / "b.json", settings={"seed": 1}), write(tmp_path / "held.json")]
+    held = json.loads(files[-1].read_text())
+    held["settings"]["attach"] = "held.json"
+    files[-1].write_text(json.dumps(held))
+
+    def rows(files, query):
+        out = planner_arena(ArenaConfig(results=tuple(files), out=tmp_path / "arena.db"))
+        with contextlib.closing(sqlite3.connect(out)) as database:
+            return [name for (name,) in database.execute(query)]
+
+    names = "SELECT name FROM plannerConfigs"
+    assert rows([files[0], files[2]], names) == ["guided, 200 nodes"] * 2
+    titles = [f"guided, 200 nodes ({name})" for name in ("a", "dear", "b")]
+    assert rows(files[:3], names) == titles
+    assert rows(files, "SELECT id FROM experiments") == [1, 2]
+
+
+def test_results_are_not_written_over(tmp_path):
+    path = write(tmp_path / "a.json")
+    before = path.read_text()
+    with pytest.raises(InputError, match=r"a\.json' would be written, and is also read from"):
+        planner_arena(ArenaConfig(results=(path,), out=path))
+    assert path.read_text() == before
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"complete": False}, "holds results that were cut off; run gnnjax.evaluate again"),
-        ({"problems": []}, "holds results without rows"),
+        ({"problems": []}, "holds results without rows; run gnnjax.evaluate again$"),
+        ({"problems": [], "parts": []}, "without rows; .* again, without --keep-parts$"),
         ({"format": 1}, "holds results of another version"),
         ({"problems": [{"index": 0}]}, "holds no results; gnnjax.evaluate writes such"),
         (None, "no results '.*missing.json'"),

@@ -46,7 +46,8 @@ def read_results(path: Path, *, rows: bool = True) -> dict[str, Any]:
     }
     for fault, found in faults.items():
         if found:
-            raise InputError(f"{str(path)!r} holds results {fault}; run gnnjax.evaluate again")
+            how = ", without --keep-parts" if "parts" in results else ""
+            raise InputError(f"{str(path)!r} holds results {fault}; run gnnjax.evaluate again{how}")
     return results
 
 

@@ -22,10 +22,10 @@ from gnnjax.planning.goals import find_goals, plan_to_cheapest
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.motions import motion_options, with_motions
 from gnnjax.planning.options import PlannerOptions, check_options
-from gnnjax.planning.query import Plan
+from gnnjax.planning.query import Plan, plan_valid
 from gnnjax.planning.strategy import Strategy
 from gnnjax.planning.walks import Compiled, Walks, compile_strategy
-from gnnjax.pose.goal import PoseGoal
+from gnnjax.pose.goal import PoseGoal, check_goal
 from gnnjax.pose.inverse import prepare
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene, inflated, is_axis_aligned
@@ -100,6 +100,7 @@ class Planner(abc.ABC):
         margin, seed = self.options.margin, check_seed(seed)
         compile_certificates(self.robot)  # times hold no compilation
         if goal_pose is not None:
+            check_goal(goal_pose)
             prepare(self.robot, goal_pose.frame)
         begin = time.perf_counter()
         start, ends = find_goals(self.robot, scene, start, goal, goals, goal_pose, margin, seed)
@@ -124,15 +125,25 @@ class Planner(abc.ABC):
         Times are shared out equally over the problems that were worked on together, and hold no
         compilation. Those of a plan end with its path; its motion has one of its own.
 
+        Where `plan` would refuse a problem, `reason` of its plan is the sentence; others are
+        planned all the same.
+
         Args:
-            problems: `[P, ...]`, which `check_query` accepts.
+            problems: `[P, ...]`.
             seed: of the roadmaps; the same for each problem.
             trajectory: see `plan`.
+
+        Raises:
+            InputError: arrays that are no problems; limits of a motion, as in `plan`.
         """
         motion, margin = motion_options(self.robot, trajectory), self.options.margin
+        seed = check_seed(seed)
         compile_certificates(self.robot)
-        scenes = inflated(problems.scene, margin)
-        plans = self._plan_batch(problems._replace(scene=scenes), check_seed(seed))
+
+        def search(valid: Problem) -> list[Plan]:
+            return self._plan_batch(valid._replace(scene=inflated(valid.scene, margin)), seed)
+
+        plans = plan_valid(self.robot, problems, margin, search)
         return with_motions(self.robot, plans, problems.scene, motion, margin)
 
     @on_host()

@@ -6,6 +6,7 @@ process at a time. Processes share nothing but the cache of compiled code.
 
 import contextlib
 import dataclasses
+import functools
 import os
 import pickle
 import signal
@@ -26,7 +27,7 @@ from gnnjax.notice import silence
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
-from gnnjax.planning.query import Plan
+from gnnjax.planning.query import Plan, plan_valid
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.options import MotionOptions
@@ -88,7 +89,15 @@ class PlannerProcesses:
         Raises:
             InputError: a process has ended.
         """
-        problems = jax.tree.map(np.asarray, problems)
+        # What is wrong with one is found out here, as the arms of the processes have no model to
+        # name what overlaps by.
+        margin = self._planner.options.margin
+        search = functools.partial(self._plan_valid, seed, trajectory)
+        return plan_valid(self.robot, jax.tree.map(np.asarray, problems), margin, search)
+
+    def _plan_valid(
+        self, seed: int, trajectory: bool | MotionOptions, problems: Problem
+    ) -> list[Plan]:
         weights = jax.tree.map(np.asarray, self._planner.strategy.weights)
         dealt = self._deal(len(problems.start))
         parts = [jax.tree.map(lambda x, at=at: x[at], problems) for at in dealt]

@@ -1,6 +1,7 @@
 """A query and its answer: what every planner checks first and what it returns."""
 
 import logging
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -148,6 +149,34 @@ def _reasons(
     for row, *why in zip(rows, *found, strict=True):
         reasons[row] = next(filter(None, why), None)
     return [reason and one_line(reason) for reason in reasons]
+
+
+def plan_valid(
+    robot: Robot, problems: Problem, margin: float, plan: Callable[[Problem], list[Plan]]
+) -> list[Plan]:
+    """Plans those of P problems that are valid; the plans of others tell what is wrong with them.
+
+    Args:
+        robot: the arm.
+        problems: `[P, ...]`.
+        margin: clearance that ends must have from obstacles, m.
+        plan: plans valid ones.
+
+    Raises:
+        InputError: arrays of other shapes, which are no problems at all.
+    """
+    reasons = check_queries(robot, problems, margin)
+    good = np.flatnonzero([reason is None for reason in reasons])
+    if 0 < len(good) == len(reasons):
+        return plan(problems)
+    found = plan(jax.tree.map(lambda x: np.asarray(x)[good], problems)) if len(good) else []
+    plans = dict(zip(good.tolist(), found, strict=True))
+    nothing = dict.fromkeys(("edge_checks", "sampling_checks", "search_checks", "roadmaps"), 0)
+    nothing |= dict.fromkeys(("planning_time_s", "total_time_s"), 0.0)
+    return [
+        plans.get(i) or make_plan(None, reason or "", robot.num_dof, **nothing)
+        for i, reason in enumerate(reasons)
+    ]
 
 
 def _base_reasons(robot: Robot, scenes: Scene, clear: np.ndarray) -> list[str | None]:

@@ -76,6 +76,8 @@ def check_goal(goal: PoseGoal) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         InputError: names the value.
     """
+    if not isinstance(goal, PoseGoal):
+        raise InputError(f"the pose is {brief(goal)}; give a PoseGoal(position, quat)")
     try:
         position, quat = np.asarray(goal.position, float), np.asarray(goal.quat, float)
     except (TypeError, ValueError, OverflowError):
@@ -93,15 +95,21 @@ def check_goal(goal: PoseGoal) -> tuple[np.ndarray, np.ndarray]:
     length = np.linalg.norm(quat, axis=-1, keepdims=True)
     near = np.abs(length - 1) <= _LENGTH_ERROR
     _refuse("quaternion", quat, near, "of length 1, as w x y z")
-    free = list(goal.free)
-    if isinstance(goal.free, str) or not set(free) <= set(AXES):
+    try:
+        free = list(goal.free)
+    except TypeError:
+        free = [goal.free]
+    if isinstance(goal.free, str) or any(axis not in AXES for axis in free):
         raise InputError(f"the pose has free axes {brief(goal.free)}; give a list of {list(AXES)}")
     turns = [axis for axis in AXES[3:] if axis in free]
     if len(turns) == 2:
         raise InputError(f"the pose has {turns} free; give one axis of turns, or all three")
     if len(set(free)) == len(AXES):
         raise InputError("the pose has all axes free, and asks for nothing; leave one out")
-    most = np.asarray(goal.tolerance, float)
+    try:
+        most = np.asarray(goal.tolerance, float)
+    except (TypeError, ValueError):
+        most = np.zeros(0)
     if most.shape != (2,) or not (most > 0).all():
         raise InputError(f"the tolerance is {brief(goal.tolerance)}; give m and rad, both above 0")
     return position, quat / length

@@ -32,7 +32,10 @@ def why_none(
 
 
 def _limits(robot: Robot, tool: str, goal: PoseGoal, found: Solutions) -> str:
-    away = f"{1e3 * found.position_error[0]:.1f} mm and {found.rotation_error[0]:.3f} rad"
+    most = goal.tolerance
+    place, turn = float(found.position_error[0]), float(found.rotation_error[0])
+    far = _missing(1e3 * place, 1e3 * most[0], ".1f")
+    away = f"{far} mm and {_missing(turn, most[1], '.3f')} rad"
     stops = [
         f"{name} at its limit of {value:.4g}"
         for name, value, low, high in zip(
@@ -50,6 +53,12 @@ def _limits(robot: Robot, tool: str, goal: PoseGoal, found: Solutions) -> str:
         f"{tool} does not reach the pose: at the nearest it is {away} away, with {there}; "
         "choose a pose within reach, free an axis, or allow more tolerance"
     )
+
+
+def _missing(error: float, most: float, form: str) -> str:
+    """An error that may be more than it should be, and then is not said to be nothing."""
+    text = f"{error:{form}}"
+    return f"{error:.2g}" if error > most and not float(text) else text
 
 
 def _contacts(robot: Robot, tool: str, scene: Scene, reached: np.ndarray, margin: float) -> str:
