@@ -585,6 +585,21 @@ def test_bad_points_are_refused_in_a_sentence(points, options, message):
         point_cloud(points, **options)
 
 
+@pytest.mark.parametrize(
+    ("name", "form"), [("a.ply", {"encoding": "ascii"}), ("a.off", {}), ("a.stl", {})]
+)
+def test_meshes_of_text_that_end_too_early_are_refused(tmp_path, name, form):
+    kind = {"a.stl": "stl_ascii"}.get(name, name[2:])
+    made = trimesh.creation.box((0.1, 0.1, 0.1)).export(file_type=kind, **form)
+    text = made if isinstance(made, bytes) else made.encode()
+    (tmp_path / name).write_bytes(text)
+    assert scene_from_mesh(tmp_path / name).cloud is not None
+    cut = text.rstrip()[: -len(text.rstrip().split(b"\n")[-1])]  # without the last line
+    (tmp_path / name).write_bytes(cut)
+    with pytest.raises(InputError, match=f"{name}' ends too early; export it again"):
+        scene_from_mesh(tmp_path / name)
+
+
 def test_other_bad_input_is_refused_or_warned_of(tmp_path):
     rng = np.random.default_rng(11)
     with pytest.raises(InputError, match="clouds of 262145 points; at most 262144"):

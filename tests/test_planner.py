@@ -169,7 +169,7 @@ def test_a_box_in_the_base_is_refused(tiny_path):
         ({"robot": "kuka_iiwa14", "num_nodes": 1}, "num_nodes is 1"),
         ({"robot": "kuka_iiwa14", "max_roadmaps": 0}, "max_roadmaps is 0"),
         ({"robot": "kuka_iiwa14", "nodes": 3}, "no option 'nodes' of a planner; there are"),
-        ({"robot": "kuka_iiwa14", "planner": "greedy"}, "planner 'greedy' with scorer None"),
+        ({"robot": "kuka_iiwa14", "planner": "greedy"}, "'greedy' has no scorer; give it one"),
         ({"robot": "kuka_iiwa14", "planner": "gnn", "weights": "motion"}, "takes a Guidance"),
         ({"robot": "kuka_iiwa14", "weights": "kuka_iiwa14"}, "is a GuidanceNetwork, for 'gnn'"),
     ],

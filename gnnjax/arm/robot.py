@@ -76,6 +76,13 @@ class Robot:
         """What another process gets: all but the spec, which only MuJoCo's worlds need."""
         return {name: value for name, value in vars(self).items() if name != "mj_spec"}
 
+    def __repr__(self) -> str:
+        """What it is, in a line: its arrays would fill pages of a notebook."""
+        return (
+            f"Robot({self.name!r}, joints {', '.join(self.joint_names)}, {len(self.parts)} parts, "
+            f"{len(self.geom_radii)} spheres)"
+        )
+
     @property
     def geom_ids(self) -> np.ndarray:
         """`[G]` geom of `mj_model` that each row covers."""

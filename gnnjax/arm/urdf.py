@@ -15,6 +15,7 @@ from xml.parsers import expat
 import mujoco
 import numpy as np
 
+from gnnjax.arm.mesh_files import ends_early
 from gnnjax.errors import InputError
 
 _MOST_FACES = 200_000  # of MuJoCo's STL reader
@@ -174,6 +175,8 @@ def _load(file: Path) -> tuple[str, bytes]:
     data = file.read_bytes()
     if ending == ".obj":
         return ending, data
+    if ends_early(file):
+        raise InputError(f"mesh {str(file)!r} ends too early; export it again")
     if ending == ".stl" and data[:5].lower() == b"solid" and b"vertex" in data[:2000]:
         return ".stl", _hull_stl(_text_stl(data, file), file)
     if ending == ".stl":

@@ -77,9 +77,12 @@ def make_planner(
     name = options.planner
     if guide is not None and name != "guided":
         raise InputError(f"a guide with planner {name!r}; only planner 'guided' takes one")
-    if (scorer is not None) != (name == "greedy"):
+    if scorer is not None and name != "greedy":
+        raise InputError(f"a scorer with planner {name!r}; only planner 'greedy' takes one")
+    if scorer is None and name == "greedy":
         raise InputError(
-            f"planner {name!r} with scorer {scorer}; planner 'greedy' takes one, and only that"
+            "planner 'greedy' has no scorer; give it one from Python, "
+            "load_planner(robot, 'greedy', scorer=...), or choose another planner"
         )
     if options.is_classical:
         from gnnjax.baselines.ompl import ClassicalPlanner

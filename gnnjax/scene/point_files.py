@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from gnnjax.arm.mesh_files import ends_early
 from gnnjax.errors import InputError
 from gnnjax.files import FileKind, read_arrays
 
@@ -100,6 +101,8 @@ def by_trimesh(file: Path, called: str, what: str) -> Any:
         raise InputError(
             f"{called} is read by trimesh, which is missing; pip install trimesh"
         ) from None
+    if ends_early(file):
+        raise InputError(f"{called} ends too early; export it again")
     try:
         # As it is: by itself, trimesh leaves out what is not finite.
         form = {"force": "mesh"} if what == "mesh" else {}
