@@ -29,6 +29,7 @@ _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 # Where jerk is limited, a corner is narrow if it is passed more slowly than this many times the
 # square of a joint's acceleration by its jerk: about what is gained while acceleration builds up.
 _NARROW = 2.0
+_MOST_STOPS = 16  # for that: each stretch between stops takes as long to find as the whole motion
 
 
 class Trajectory(NamedTuple):
@@ -204,8 +205,11 @@ def _narrow(limits: Limits, move: _Move) -> np.ndarray:
     gained = push**2 / jerk  # of the speed along each edge
     curve, number = move.curve, len(blends)
     middles = (curve.entries[:number] + curve.exits[:number]) // 2
-    slow = np.sqrt(move.timing.x[middles]) < _NARROW * np.maximum(gained[:-1], gained[1:])
-    return slow & (blends > 0)
+    speeds = np.sqrt(move.timing.x[middles])
+    slow = (speeds < _NARROW * np.maximum(gained[:-1], gained[1:])) & (blends > 0)
+    slowest = np.argsort(np.where(slow, speeds, np.inf), kind="stable")
+    slow[slowest[_MOST_STOPS:]] = False
+    return slow
 
 
 def _timed(robot: Robot, limits: Limits, curves: list[Curve], clock: Clock) -> list[Timing]:
