@@ -14,7 +14,12 @@ from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import check_apart
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import load_arm
-from gnnjax.trajectory.execution import Execution, execute_trajectory, motion_clearance
+from gnnjax.trajectory.execution import (
+    Execution,
+    at_steps,
+    execute_trajectory,
+    motion_clearance,
+)
 from gnnjax.trajectory.files import load_trajectory
 from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.video import check_video, draw_video
@@ -86,7 +91,8 @@ def main(config: ExecuteConfig) -> int:
         most_error=config.most_error,
     )
     _tell(robot, found)
-    clearance = motion_clearance(robot, scene, found.trace.wanted.positions)
+    # All of the curve, where the arm may not have come.
+    clearance = motion_clearance(robot, scene, at_steps(robot, points).positions)
     print(
         f"no point of the arm is more than {_mm(found.stray)} from the curve, which is proven to "
         f"keep {_mm(clearance)} from all obstacles, or more"

@@ -7,7 +7,7 @@ import numpy as np
 import tyro
 
 from gnnjax.arguments import parse_arguments
-from gnnjax.errors import needs_extra, run_command
+from gnnjax.errors import InputError, needs_extra, run_command
 from gnnjax.files import atomic_write, check_apart, check_target
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
@@ -43,7 +43,11 @@ class PlanConfig(QueryOptions, PlannerOptions, MotionOptions):
 def main(config: PlanConfig) -> int:
     """Plans, prints a summary and writes the files; returns 1 where there is no path."""
     # All that can be refused is refused before planning, which may take a minute.
-    check_target(config.out)
+    if check_target(config.out).suffix.lower() != ".npz":
+        raise InputError(
+            f"path file {str(config.out)!r} has the ending {config.out.suffix!r}; give .npz "
+            "(arrays), or a motion's file as --trajectory, which may be .csv or .json"
+        )
     check_apart(
         (config.out, config.image, config.trajectory, config.video),
         (config.scene, config.request, config.attach, config.robot),

@@ -1,5 +1,7 @@
 """Motions carried out in simulation, against plain loops and closed forms."""
 
+import inspect
+
 import mujoco
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from gnnjax.trajectory.execution import (
     motion_clearance,
 )
 from gnnjax.trajectory.simulate import DT, ModelErrors, build_true_world
-from gnnjax.trajectory.states import sample_trajectory
+from gnnjax.trajectory.states import followed, sample_trajectory
 from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
 
@@ -196,6 +198,13 @@ def test_a_controller_that_diverges_is_data(robot, motion):
     assert len(found.trace.times) < len(
         execute_trajectory(robot, NOTHING, motion, torque=TORQUE).trace.times
     )
+    # What is said of the curve is of all of it, which leads into the box; the arm never was there.
+    scene = in_the_way(robot, motion)
+    found = execute_trajectory(robot, scene, motion, torque=TORQUE, most_error=1e-9)
+    assert len(found.trace.times) < 9
+    assert not found.touched
+    assert not found.proven
+    assert found.duration == pytest.approx(motion.duration, abs=DT)
     weak = execute_trajectory(robot, NOTHING, motion, torque=1.0)
     assert not weak.success
     assert weak.torque_use == 1.0
@@ -271,6 +280,16 @@ def test_no_motion_and_contacts_that_are_meant_are_refused(robot, motion):
     none = motion._replace(success=False, reason="too heavy")
     with pytest.raises(InputError, match="there is no motion to sample: too heavy"):
         execute_trajectory(robot, NOTHING, none, torque=TORQUE)
+    with pytest.raises(InputError, match=r"a NoneType is no motion; give plan\.trajectory"):
+        inspect.unwrap(followed)(robot, None, DT)
+    points = sample_trajectory(robot, motion, 0.01)
+    for changed, message in (
+        ({"times": points.times[::-1]}, "times in the motion do not begin at 0 and ascend"),
+        ({"positions": points.positions[:, :2]}, "the motion has arrays of the shapes"),
+        ({"velocities": points.velocities * np.nan}, "the motion holds what is no finite number"),
+    ):
+        with pytest.raises(InputError, match=message):
+            execute_trajectory(robot, NOTHING, points._replace(**changed), torque=TORQUE)
     scene = allow_contacts(robot, in_the_way(robot, motion), [("lower", "box 0")])
     with pytest.raises(InputError, match="MuJoCo world"):
         execute_trajectory(robot, scene, motion, torque=TORQUE)

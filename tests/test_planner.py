@@ -1,6 +1,7 @@
 """Planning a query end to end, and what bad input gets."""
 
 import functools
+import inspect
 import json
 import subprocess
 import sys
@@ -133,6 +134,10 @@ def test_limits_of_motions_are_checked_before_planning(tiny_path, monkeypatch):
     scene = make_scene([], [])
     with pytest.raises(InputError, match="tiny has no velocity limits; give velocity="):
         planner.plan(scene, [0.5, 1, 0], [-2, -1, 1], trajectory=True)
+    wanted = inspect.unwrap(motions.motion_options)
+    with pytest.raises(InputError, match=r"trajectory is {'velocity': 1.0}; give True or MotionO"):
+        wanted(planner.robot, {"velocity": 1.0})
+    assert wanted(planner.robot, np.False_) is None
     with pytest.raises(InputError, match="no option 'speed' of a motion; there are"):
         time_path(planner.robot, scene, [[0, 0, 0]], speed=1.0)
 
@@ -263,6 +268,7 @@ def test_the_clearance_of_a_plan_is_at_least_the_margin_and_that_of_none_is_refu
     [
         ({"out": "."}, r"'\.' is a folder; name a file"),
         ({"out": "scene.json/path.npz"}, r"'scene.json' is a file; name a folder"),
+        ({"out": "path.csv"}, r"path file 'path.csv' has the ending '.csv'; give .npz"),
         ({"image": "plan.xyz"}, r"picture 'plan.xyz' has no known ending; there are \["),
         ({"image": "plan"}, "picture 'plan' has no known ending"),
         ({"out": "scene.json"}, "'scene.json' would be written, and is also read from; name anot"),

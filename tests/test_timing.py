@@ -13,7 +13,8 @@ from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
 from gnnjax.trajectory.curve import distinct, edges_of, make_curve, places, size_of
-from gnnjax.trajectory.limits import Limits, limits_of
+from gnnjax.trajectory.execution import execute_trajectory
+from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
 from gnnjax.trajectory.states import sample_trajectory, states
 from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
@@ -265,6 +266,9 @@ def test_a_path_that_stays_takes_no_time(tiny, path):
     assert found.duration == 0
     points = sample_trajectory(tiny, found, 0.01)
     np.testing.assert_array_equal(points.positions, np.zeros((1, 3)))
+    weak = time_path(tiny, NOTHING, path, **limits | {"torque": 0.1})
+    assert not weak.success
+    assert "to hold the arm at the start and has 0.1" in weak.reason
 
 
 def test_repeated_points_do_not_stop_a_motion(free):
@@ -274,6 +278,38 @@ def test_repeated_points_do_not_stop_a_motion(free):
     np.testing.assert_array_equal(distinct(twice), path)
     alone, many = (time_path(free, NOTHING, p, **limits) for p in (path, twice))
     assert many.duration == alone.duration
+
+
+@pytest.mark.parametrize("apart", [1e-13, 1e-9])
+def test_points_that_are_almost_the_same_do_not_hinder_a_motion(free, apart):
+    start, corner, goal = np.array([[0.3, -0.5, 0.2], [-0.8, 0.6, 0.4], [0.5, 0.7, -0.6]])
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)._asdict()
+    twice = [start, corner, corner + apart, goal]
+    for jerk in (None, 80.0):
+        options = limits | {"jerk": jerk}
+        stopping = time_path(free, NOTHING, [start, corner, goal], **options, blend=0.0)
+        for blend in (0.0, 1.0):
+            found = time_path(free, NOTHING, twice, **options, blend=blend)
+            assert found.success, found.reason
+            assert found.duration < stopping.duration + 0.02
+
+
+def test_a_motion_of_little_jerk_stops_where_that_is_faster_than_a_narrow_corner(free):
+    path = random_paths(free, 5, seed=3)[-1]
+    given = {"velocity": SPEEDS, "acceleration": PUSHES, "torque": TORQUES, "jerk": 80.0}
+    narrow, stopping = (time_path(free, NOTHING, path, **given, blend=x) for x in (1e-3, 0.0))
+    assert narrow.duration == pytest.approx(stopping.duration)
+    assert narrow.stops == len(path) - 2
+    assert narrow.cost == pytest.approx(narrow.cost_before)
+    wide = time_path(free, NOTHING, path, **given)
+    assert wide.stops == 0
+    assert wide.duration < narrow.duration
+    # One that is narrow among wide ones is the only one that is stopped at.
+    mixed = np.insert(path, 1, path[0] + [1e-4, 0, 0], axis=0)
+    found = time_path(free, NOTHING, mixed, **given)
+    assert found.stops == 1
+    assert found.duration < wide.duration + 0.3
+    assert most_used(free, limits_of(free, **given), found) < 1.001
 
 
 def test_a_path_that_turns_back_is_followed(free):
@@ -327,6 +363,7 @@ def test_an_arm_too_weak_on_its_way_is_told_where(tiny):
         ({"velocity": 1, "acceleration": 1, "jerk": 0}, "jerk limits of tiny are 0; give one"),
         ({"velocity": 1, "acceleration": "much"}, "acceleration limits of tiny are 'much'"),
         ({"velocity": 1, "acceleration": 1, "blend": -1.0}, "blend is -1.0; give a length"),
+        ({"velocity": 1, "acceleration": 1, "margin": -1.0}, "margin is -1.0; give a clearance"),
     ],
 )
 def test_limits_that_are_none_are_refused(tiny, limits, message):
@@ -373,6 +410,25 @@ def test_the_grid_of_a_curve_has_all_its_corners():
         np.testing.assert_allclose(
             places(curve, np.array([len(curve.grid) - 1.0])).q[0], path[-1], atol=1e-12
         )
+
+
+def test_the_torques_of_a_model_that_has_some_are_limited(tmp_path):
+    path = tmp_path / "some.xml"
+    motor = '<motor joint="b" gear="10" ctrlrange="-0.5 0.4"/><motor joint="c"/>'
+    path.write_text(TINY.replace("</mujoco>", f"<actuator>{motor}</actuator></mujoco>"))
+    robot = load_robot(path)
+    free = limits_of(robot, velocity=1.0, acceleration=1.0).torque
+    np.testing.assert_array_equal(free, [ANY_TORQUE, 4.0, ANY_TORQUE])
+    found = time_path(robot, NOTHING, [[0, 0, 0], [1, 0, 0]], velocity=1.0, acceleration=1.0)
+    assert "joint b needs" in found.reason
+    assert "and has 4; carry less" in found.reason
+    upright = [[0, -1.5, 0], [1, -1.5, 0]]
+    loose = {"velocity": 3.0, "acceleration": 9.0}
+    found = time_path(robot, NOTHING, upright, **loose)
+    same = time_path(robot, NOTHING, upright, **loose, torque=[900.0, 4.0, 900.0])
+    assert found.duration == pytest.approx(same.duration)
+    with pytest.raises(InputError, match="has no torque limits for joint a, without"):
+        execute_trajectory(robot, NOTHING, found)
 
 
 def test_limits_of_a_model_are_taken_where_none_are_given():

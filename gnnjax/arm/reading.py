@@ -178,10 +178,22 @@ def motor_limits(model: mujoco.MjModel) -> np.ndarray:
         limits[j] = np.abs(model.jnt_actfrcrange[j]).min()
     for a in range(model.nu):
         j = int(model.actuator_trnid[a, 0])
-        if int(model.actuator_trntype[a]) in _TRN_JOINTS and model.actuator_forcelimited[a]:
-            force = np.abs(model.actuator_forcerange[a]).min()
-            limits[j] = min(limits[j], force * abs(model.actuator_gear[a, 0]))
+        if int(model.actuator_trntype[a]) not in _TRN_JOINTS:
+            continue
+        ranges = [model.actuator_forcerange[a]] if model.actuator_forcelimited[a] else []
+        if model.actuator_ctrllimited[a] and _is_motor(model, a):
+            ranges.append(model.actuator_ctrlrange[a] * model.actuator_gainprm[a, 0])
+        for force in ranges:
+            most = np.abs(force).min() * abs(model.actuator_gear[a, 0])
+            limits[j] = min(limits[j], most)
     return np.where(limits > 0, limits, np.inf)
+
+
+def _is_motor(model: mujoco.MjModel, a: int) -> bool:
+    """Whether an actuator's force is its control, times a constant."""
+    fixed = model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+    plain = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
+    return bool(fixed and plain and model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_NONE)
 
 
 def _torques(model: mujoco.MjModel, planned: list[int]) -> np.ndarray | None:

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError, brief
 from gnnjax.planning.query import Plan
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.options import MotionOptions, check_motion_options
@@ -12,7 +13,15 @@ from gnnjax.trajectory.trajectory import find_motions
 
 def motion_options(robot: Robot, trajectory: bool | MotionOptions) -> MotionOptions | None:
     """What motions are wanted, refused before planning, if at all; None without."""
-    options = MotionOptions() if trajectory is True else trajectory or None
+    if trajectory is None or isinstance(trajectory, bool | np.bool_):
+        options = MotionOptions() if trajectory else None
+    elif isinstance(trajectory, MotionOptions):
+        options = trajectory
+    else:
+        raise InputError(
+            f"trajectory is {brief(trajectory)}; give True or MotionOptions(...), such as "
+            "MotionOptions(acceleration=8.0)"
+        )
     if options is not None:
         check_motion_options(robot, options)
     return options

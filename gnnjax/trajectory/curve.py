@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 _STRAY = 3 / 16  # of the quartic's middle from its corner, as a share of blend times turn
+# Of a path: steps that are none, well above the lengths that rounding makes zero below.
+_REPEATED = 1e-11
 _BLEND_INTERVALS, _FEWEST = 16, 4  # of a blend; of a straight piece at least
 
 
@@ -41,10 +43,14 @@ class Places(NamedTuple):
 
 
 def distinct(path: np.ndarray) -> np.ndarray:
-    """A path `[L D]` in double precision without configurations that repeat the one before."""
+    """A path `[L D]` in double precision without configurations that repeat the one before, up to
+    rounding; its ends are what they are."""
     path = np.asarray(path, float)
-    moves = np.any(path[1:] != path[:-1], axis=1)
-    return path[np.concatenate([[True], moves])]
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    kept = path[np.concatenate([[True], steps > _REPEATED * steps.sum()])]
+    if len(kept) > 1:
+        kept[-1] = path[-1]
+    return kept
 
 
 def edges_of(path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from gnnjax.scene.mujoco_world import obstacles
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
 from gnnjax.trajectory.control import control
 from gnnjax.trajectory.dynamics import check_dynamics
-from gnnjax.trajectory.limits import Amounts, limits_of
+from gnnjax.trajectory.limits import ANY_TORQUE, Amounts, limits_of
 from gnnjax.trajectory.simulate import (
     DT,
     ModelErrors,
@@ -27,7 +27,7 @@ from gnnjax.trajectory.simulate import (
     placed,
     simulate,
 )
-from gnnjax.trajectory.states import Setpoints, movement, sample_times
+from gnnjax.trajectory.states import Setpoints, followed
 from gnnjax.trajectory.trajectory import Trajectory
 
 _HOLD = 0.5  # s at the goal, before it is told whether the arm rests there
@@ -128,7 +128,7 @@ def execute_trajectories(
     limit = _torque_limit(robot, torque)
     check_dynamics(robot)
     scenes = [jax.tree.map(lambda x, i=i: np.asarray(x)[i], scene) for i in _numbers(scene)]
-    points = [_at_steps(robot, each) for each in trajectories]
+    points = [at_steps(robot, each) for each in trajectories]
     found: list[Execution | None] = [None] * len(points)
     # Those of about the same length side by side; clouds are geoms, which make worlds that differ.
     order = np.argsort([len(each.times) for each in points], kind="stable")
@@ -153,22 +153,19 @@ def _numbers(scene: Scene) -> list:
 
 
 def _torque_limit(robot: Robot, torque: Amounts | None) -> np.ndarray:
-    limits = limits_of(robot, velocity=1.0, acceleration=1.0, torque=torque)
-    if limits.torque is None:
+    limit = limits_of(robot, velocity=1.0, acceleration=1.0, torque=torque).torque
+    if limit is None or (limit >= ANY_TORQUE).any():
+        joint = "" if limit is None else f" for joint {robot.joint_names[int(limit.argmax())]}"
         raise InputError(
-            f"the model of {robot.name} has no torque limits, without which its motors cannot be "
-            'simulated; give torque=... (N m), or put forcerange="..." into its actuators'
+            f"the model of {robot.name} has no torque limits{joint}, without which its motors "
+            'cannot be simulated; give torque=... (N m), or put forcerange="..." into its actuators'
         )
-    return limits.torque
+    return limit
 
 
-def _at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
+def at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
     """A motion at every step of the simulation, held at its goal in the end."""
-    if isinstance(trajectory, Trajectory):
-        given = sample_times(trajectory, DT)
-        positions, velocities, _ = movement(trajectory, given)
-    else:
-        given, positions, velocities, *_ = trajectory
+    given, positions, velocities = followed(robot, trajectory, DT)
     last = float(given[-1])
     if not last <= _LONGEST:
         raise InputError(f"the motion takes {last:g} s; up to {_LONGEST:g} s can be simulated")
@@ -195,7 +192,7 @@ def _judged(
     limit: np.ndarray,
 ) -> Execution:
     """What a run says of a motion."""
-    steps = len(run.torques)
+    whole, steps = wanted, len(run.torques)
     if run.diverged:  # within a delay, up to what is no number
         steps = min(steps, int(np.isfinite(run.positions).all(axis=1).argmin()) or steps)
     q, velocity, torques = run.positions[:steps], run.velocities[:steps], run.torques[:steps]
@@ -224,13 +221,13 @@ def _judged(
     return Execution(
         success=not reason,
         reason=reason,
-        duration=moving * DT,
+        duration=max(1, len(whole.times) - round(_HOLD / DT)) * DT,
         max_error=error[:moving].max(axis=0),
         rms_error=np.sqrt((error[:moving] ** 2).mean(axis=0)),
         tip_error=float(tip.max()),
         goal_error=float(goal.max()),
         stray=stray,
-        proven=stays_clear(robot, scene, wanted.positions, stray),
+        proven=stays_clear(robot, scene, whole.positions, stray),
         depth=depth,
         touched_at=float(touching[0] * DT) if len(touching) else np.inf,
         touched=touched,

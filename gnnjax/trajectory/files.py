@@ -12,11 +12,10 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.files import FileKind, atomic_write, check_target, read_arrays
 from gnnjax.scene.scene_file import read_json
-from gnnjax.trajectory.states import Setpoints, sample_trajectory
+from gnnjax.trajectory.states import Setpoints, check_setpoints, sample_trajectory
 from gnnjax.trajectory.trajectory import Trajectory
 
 _NANO = 10**9
-_ROUNDED = 1e-3  # rad or m, of joint limits: people round what they write
 _FOUND = ("cost_before", "cost", "clearance_before", "clearance")  # of a motion, beside its states
 _AGAIN = "write it again with python -m gnnjax.plan --trajectory"
 _Facts: TypeAlias = dict[str, float]
@@ -71,7 +70,8 @@ def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
         what = f"no entry {brief(error.args[0])}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{called} holds no motion ({what}); {_AGAIN}") from None
     _check_arm(robot, read, called)
-    return _checked(robot, read, called)
+    check_setpoints(robot, read.points, called, _AGAIN)
+    return read.points
 
 
 def _check_arm(robot: Robot, read: "_Read", called: str) -> None:
@@ -80,32 +80,6 @@ def _check_arm(robot: Robot, read: "_Read", called: str) -> None:
         arm = f"of {brief(read.robot)}" if read.robot else f"of an arm with the joints {joints}"
         own = robot.name if read.robot else f"{robot.name} with {list(robot.joint_names)}"
         raise InputError(f"{called} is {arm}, not of {own}; name the arm that it was planned for")
-
-
-def _checked(robot: Robot, read: "_Read", called: str) -> Setpoints:
-    """The states, or why they are no motion of the arm."""
-    points = read.points
-    shape = (len(points.times), robot.num_dof) if points.times.ndim == 1 else (0, 0)
-    if not shape[0] or any(x.shape != shape for x in points[1:]):
-        shapes = {name: values.shape for name, values in points._asdict().items()}
-        raise InputError(
-            f"{called} has arrays of the shapes {shapes}; {robot.name} needs times [T] and "
-            f"[T, {robot.num_dof}]"
-        )
-    if not all(np.isfinite(x).all() for x in points):
-        raise InputError(f"{called} holds what is no finite number; {_AGAIN}")
-    if points.times[0] != 0 or not (np.diff(points.times) > 0).all():
-        raise InputError(f"times in {called} do not begin at 0 and ascend; {_AGAIN}")
-    low, high = robot.joint_lower - _ROUNDED, robot.joint_upper + _ROUNDED
-    beyond = ~((points.positions >= low) & (points.positions <= high))
-    if beyond.any():
-        row, joint = (int(x[0]) for x in np.nonzero(beyond))
-        raise InputError(
-            f"{called} has joint {robot.joint_names[joint]} at {points.positions[row, joint]:.4g}, "
-            f"beyond its limits {robot.joint_lower[joint]:.4g} to {robot.joint_upper[joint]:.4g}; "
-            "name the arm that it was planned for"
-        )
-    return points
 
 
 class _Read(NamedTuple):

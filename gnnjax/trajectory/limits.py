@@ -4,9 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gnnjax.arm.reading import motor_limits
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import Amounts, positive_amounts
 from gnnjax.errors import InputError
+
+ANY_TORQUE = 1e9  # N m or N: what no arm needs, and a number, as infinity is not when it cancels
 
 
 class Limits(NamedTuple):
@@ -14,7 +17,7 @@ class Limits(NamedTuple):
 
     velocity: np.ndarray  # [D] rad/s or m/s
     acceleration: np.ndarray  # [D] rad/s^2 or m/s^2
-    torque: np.ndarray | None  # [D] N m or N; None: whatever it takes
+    torque: np.ndarray | None  # [D] N m or N, `ANY_TORQUE` of joints without; None: all are without
     jerk: np.ndarray | None = None  # [D] rad/s^3 or m/s^3; None: any
 
 
@@ -35,7 +38,8 @@ def limits_of(
     """The limits that an arm's model has, but for those that are given: a number a joint, or one
     for all.
 
-    Torques are not limited where neither the model nor an argument does so, nor is jerk.
+    Torques are not limited where neither the model nor an argument does so, joint by joint, nor is
+    jerk.
 
     Raises:
         InputError: a limit that is not positive, or too many of them; no velocities, or no
@@ -44,7 +48,7 @@ def limits_of(
     given = {"velocity": velocity, "acceleration": acceleration, "torque": torque, "jerk": jerk}
     found = {}
     for name, values in given.items():
-        own = None if name == "jerk" else getattr(robot, f"{name}_limit")  # which models lack
+        own = _own(robot, name)
         found[name] = positive_amounts(robot, name, values) if values is not None else own
         if found[name] is None and name in _REMEDIES:
             raise InputError(
@@ -52,3 +56,14 @@ def limits_of(
                 f'({_REMEDIES[name]}), or put <numeric name="{name}_limit"> into its MJCF'
             )
     return Limits(*(None if x is None else np.asarray(x, float) for x in found.values()))
+
+
+def _own(robot: Robot, name: str) -> np.ndarray | None:
+    """Limits of the model; those of torques as far as it has them."""
+    if name == "jerk":  # which models lack
+        return None
+    limits = getattr(robot, f"{name}_limit")
+    if name == "torque" and limits is None:
+        motors = motor_limits(robot.mj_model)
+        limits = np.minimum(motors, ANY_TORQUE) if np.isfinite(motors).any() else None
+    return limits

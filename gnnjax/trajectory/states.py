@@ -11,6 +11,8 @@ from gnnjax.trajectory.curve import Curve, places
 from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import Trajectory
 
+_ROUNDED = 1e-3  # rad or m, of joint limits: people round what they write
+
 
 class Setpoints(NamedTuple):
     """States at T times of a motion."""
@@ -87,7 +89,63 @@ def _places_at(
     return at, begin + u * since, u
 
 
+def followed(
+    robot: Robot, trajectory: Trajectory | Setpoints, dt: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times `[T]`, positions and velocities `[T D]` of a motion, or of those states of one that are
+    given.
+
+    Raises:
+        InputError: no motion, or none of this arm.
+    """
+    if isinstance(trajectory, Trajectory):
+        times = sample_times(trajectory, dt)
+        positions, velocities, _ = movement(trajectory, times)
+    elif isinstance(trajectory, Setpoints):
+        times, positions, velocities = (np.asarray(x, float) for x in trajectory[:3])
+    else:
+        raise InputError(
+            f"a {type(trajectory).__name__} is no motion; give plan.trajectory, of a plan with "
+            "trajectory=True, or Setpoints"
+        )
+    # All that is followed; what else was given is computed anew.
+    points = Setpoints(times, positions, velocities, velocities, velocities)
+    check_setpoints(robot, points, "the motion", "give what sample_trajectory returns")
+    return times, positions, velocities
+
+
 def check_step(dt: float) -> None:
     """Refuses a time between states that is none, or so short that they fill the memory."""
     if not 1e-5 <= dt < np.inf:
         raise InputError(f"dt is {dt}; give a step in seconds, such as 0.01")
+
+
+def check_setpoints(robot: Robot, points: Setpoints, called: str, remedy: str) -> None:
+    """Refuses states that are no motion of an arm.
+
+    Args:
+        robot: the arm.
+        points: arrays of any shapes and values.
+        called: what messages call them.
+        remedy: where they could come from instead.
+    """
+    shape = (len(points.times), robot.num_dof) if points.times.ndim == 1 else (0, 0)
+    if not shape[0] or any(x.shape != shape for x in points[1:]):
+        shapes = {name: values.shape for name, values in points._asdict().items()}
+        raise InputError(
+            f"{called} has arrays of the shapes {shapes}; {robot.name} needs times [T] and "
+            f"[T, {robot.num_dof}]"
+        )
+    if not all(np.isfinite(x).all() for x in points):
+        raise InputError(f"{called} holds what is no finite number; {remedy}")
+    if points.times[0] != 0 or not (np.diff(points.times) > 0).all():
+        raise InputError(f"times in {called} do not begin at 0 and ascend; {remedy}")
+    low, high = robot.joint_lower - _ROUNDED, robot.joint_upper + _ROUNDED
+    beyond = ~((points.positions >= low) & (points.positions <= high))
+    if beyond.any():
+        row, joint = (int(x[0]) for x in np.nonzero(beyond))
+        raise InputError(
+            f"{called} has joint {robot.joint_names[joint]} at {points.positions[row, joint]:.4g}, "
+            f"beyond its limits {robot.joint_lower[joint]:.4g} to {robot.joint_upper[joint]:.4g}; "
+            "name the arm that it was planned for"
+        )
