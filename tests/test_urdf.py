@@ -235,6 +235,10 @@ def test_an_arm_that_others_publish_is_planned_for():
             {"text": ARM.replace('lower="-2" upper="2.5"', 'lower="0" upper="0"')},
             "joint shoulder of .* has the range 0 to 0; the second must be larger",
         ),
+        (
+            {"text": ARM.replace('<mimic joint="grip"', '<mimic joint="gripp"')},
+            "mimics 'gripp', which is not there; name one of its joints",
+        ),
         ({"data": HOLED, "mesh": "package://my_arm/meshes/a.ply", "name": "a.ply"}, "not finite"),
         ({"text": "<robot"}, "is no XML"),
         ({"text": "<mujoco/>"}, "begins with <mujoco>; a URDF begins with <robot>"),

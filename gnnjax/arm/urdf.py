@@ -60,6 +60,7 @@ def read_urdf(path: Path) -> Urdf:
         raise InputError(
             f"{str(path)!r} holds xacro macros; expand them first (xacro FILE.xacro > FILE.urdf)"
         )
+    _check_mimics(root, path)
     folders = [path.parent]
     for element in root.findall("mujoco"):
         folders += [path.parent / x.get("meshdir", "") for x in element.findall("compiler")]
@@ -124,6 +125,18 @@ def _no_room(root: ET.Element) -> dict[str, tuple[float, float]]:
                 if lower >= upper:
                     found[joint.get("name", "")] = lower, upper
     return found
+
+
+def _check_mimics(root: ET.Element, path: Path) -> None:
+    """Refuses joints that mimic none of the joints, which MuJoCo takes for joints of their own."""
+    called = {joint.get("name") for joint in root.findall("joint")}
+    for joint in root.findall("joint"):
+        for mimic in joint.findall("mimic"):
+            if mimic.get("joint") not in called:
+                raise InputError(
+                    f"joint {joint.get('name')} of {str(path)!r} mimics {mimic.get('joint')!r}, "
+                    "which is not there; name one of its joints, or take <mimic> out"
+                )
 
 
 def _mend_inertia(link: ET.Element) -> None:

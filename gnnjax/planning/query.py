@@ -13,7 +13,7 @@ from gnnjax.arm.torques import rest_fault, rests
 from gnnjax.collision.certify import check_scene
 from gnnjax.collision.clearances import base_clear, clearances
 from gnnjax.collision.obstacles import obstacles_of, scene_faults
-from gnnjax.errors import InputError, as_typed, one_line
+from gnnjax.errors import InputError, as_typed, brief, one_line
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.allowed import check_allowed
 from gnnjax.scene.mujoco_world import deepest_contact, depth_in_base
@@ -117,6 +117,11 @@ def check_queries(robot: Robot, problems: Problem, margin: float = 0.0) -> list[
     Raises:
         InputError: arrays of other shapes, which are no problems at all.
     """
+    if not isinstance(problems, Problem):
+        raise InputError(
+            f"problems are {brief(problems)}; give one Problem, its scenes of "
+            "stack_scenes([...]), starts and goals [P, D]"
+        )
     return _reasons(robot, problems, scene_faults(problems.scene), margin)
 
 

@@ -106,5 +106,5 @@ def refuse_allowed(scene: Scene, who: str) -> None:
     if scene.allowed is not None:
         raise InputError(
             f"the scene has contacts that are meant, which {who} cannot leave out; take them out "
-            "of the scene with scene._replace(allowed=None)"
+            "of the scene: `allow` of its file, or scene._replace(allowed=None)"
         )
