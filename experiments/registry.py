@@ -13,6 +13,7 @@ from experiments import (
     hard,
     inverse_kinematics,
     motion_bench_maker,
+    motions,
     predictor,
     real_arm,
     throughput,
@@ -36,6 +37,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         converged,
         throughput,
         motion_bench_maker,
+        motions,
         real_arm,
         inverse_kinematics,
     )

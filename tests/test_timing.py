@@ -5,6 +5,7 @@ import jax
 import numpy as np
 import pytest
 
+from experiments.by_toppra import duration_by_toppra
 from gnnjax.arm.robot import load_robot
 from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.collision.clearances import clearances
@@ -207,6 +208,17 @@ def test_durations_are_those_of_a_dense_search(free, number):
     found = time_path(free, NOTHING, path, **limits._asdict())
     assert found.stops == 0
     assert found.duration == pytest.approx(searched(free, limits, found.curve), rel=0.01)
+
+
+def test_durations_are_those_of_toppra(free):
+    limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES)
+    found = time_paths(free, NOTHING, random_paths(free, 100), **limits._asdict(), blend=0.4)
+    for motion in found[:20]:
+        theirs = duration_by_toppra(motion.curve, limits)
+        assert theirs is not None
+        assert motion.duration == pytest.approx(theirs, rel=0.01)
+    weaker = limits._replace(acceleration=limits.acceleration / 2)
+    assert duration_by_toppra(found[0].curve, weaker) > 1.1 * found[0].duration
 
 
 @pytest.mark.parametrize("backend", ["cpu", "gpu"])  # which computes many curves at once

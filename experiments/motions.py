@@ -1,0 +1,327 @@
+"""Claim: motions keep their limits, take as long as toppra's along the same curve, and less than
+those along RRT-Connect's simplified paths.
+
+    python -m experiments.motions
+
+Test problems of each arm are planned by the guided planner and by RRT-Connect, whose paths OMPL
+simplifies; both are then rounded and timed by the same code, under the limits of velocity,
+acceleration and torque of the arm's model. Each motion is looked at at ten times as many moments as
+its grid has; torques are MuJoCo's. Durations are compared on problems that both have a motion for.
+toppra (Pham and Pham, 2018) times curves without stops under the limits of velocity and
+acceleration alone, on a grid twice as fine, and so do we.
+
+Motions a second are those of the guided planner's paths in batches, in one process, on the wall
+clock: rounding, certificates of the curves, timing. Everything is computed once before, untimed.
+"""
+
+import dataclasses
+import functools
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.by_toppra import duration_by_toppra
+from experiments.cases import classical_case
+from experiments.measure import ExperimentConfig
+from experiments.record import Experiment, Finding, Measurement, judge, main
+from experiments.results import Row
+from experiments.style import COLORS, label
+from experiments.tables import made_on, markdown
+from experiments.turns import folder_of, kept
+from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.generate import GenerateConfig, generate
+from gnnjax.measure.rows import straight_line_blocked
+from gnnjax.measure.statistics import describe
+from gnnjax.planning.load import make_planner
+from gnnjax.planning.query import check_queries
+from gnnjax.problems.problem import Problem
+from gnnjax.problems.shards import load_problems
+from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
+from gnnjax.trajectory.states import states
+from gnnjax.trajectory.trajectory import Trajectory, time_path, time_paths
+
+OWN, RIVAL = "guided", "ompl:rrt_connect@simplified"
+_DENSER = 10  # moments for each interval of a motion's grid
+_SLACK, _CLOSE = 1e-3, 0.01  # of limits; of toppra's durations
+_MANY, _SOON = 500, 0.02  # motions a second; s
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionsConfig(ExperimentConfig):
+    """Motions along the paths of planners; of the seeds, the first alone."""
+
+    arms: tuple[str, ...] = ("kuka_iiwa14", "franka_panda", "kinova_gen3")
+    """The arms."""
+    num_problems: int = 1700
+    """Problems of each."""
+    batch: int = 256
+    """Motions that are found at once."""
+    singles: int = 100
+    """Motions that are found one by one, too."""
+    compared: int = 200
+    """Motions that toppra times, too."""
+    time_limit: float = 1.0
+    """Seconds after which RRT-Connect gives a problem up."""
+
+
+def measurement(config: MotionsConfig) -> Measurement:
+    """A row an arm."""
+    names = ("num_problems", "batch", "singles", "compared", "time_limit")
+    settings = {name: getattr(config, name) for name in names} | {"seed": config.seeds[0]}
+    return Measurement(_rows(config, settings), {"settings": settings})
+
+
+def _rows(config: MotionsConfig, settings: Row) -> Iterator[Row]:
+    for arm in (config.robot,) if config.robot else config.arms:
+        stem = Path(arm).stem
+        path = config.data / f"{stem}_motions{'_quick' if config.quick else ''}.npz"
+        if not path.exists():
+            num = config.num_problems
+            generate(GenerateConfig(split="test", robot=arm, num_problems=num, out=path))
+        folder = folder_of(config.runs, f"motions_{stem}", settings, path)
+        yield kept(folder / "row.json", functools.partial(_measure, config, arm, path))
+
+
+def _measure(config: MotionsConfig, arm: str, path: Path) -> Row:
+    robot, seed = load_robot(arm), config.seeds[0]
+    limits = limits_of(robot)
+    problems = load_problems(path, robot).problems
+    accepted = np.array([reason is None for reason in check_queries(robot, problems)])
+    problems = jax.tree.map(lambda x: np.asarray(x)[accepted], problems)
+    hard = np.asarray(straight_line_blocked(robot, "fused", problems))
+    durations, planners = {}, {}
+    for planner in (OWN, RIVAL):
+        case = dataclasses.replace(classical_case(path, arm, planner), seed=seed)
+        if planner == RIVAL:
+            case = dataclasses.replace(case, time_limit=config.time_limit)
+        plans = make_planner(robot, case).plan_batch(problems, seed=seed)
+        ids = np.flatnonzero([plan.success for plan in plans])
+        paths = [plans[i].path for i in ids]
+        found = _in_batches(robot, problems, ids, paths, config.batch, proven=planner == OWN)
+        good = [motion for motion in found if motion.success]
+        durations[planner] = np.full(len(plans), np.nan)
+        durations[planner][ids] = [m.duration if m.success else np.nan for m in found]
+        planners[planner] = {
+            "paths": len(ids),
+            "motions": len(good),
+            "reasons": sorted({motion.reason for motion in found if not motion.success}),
+            "certified": sum(motion.certified for motion in good),
+            "stops": sum(motion.stops for motion in good),
+            "largest_use": max(_largest_use(robot, limits, motion) for motion in good),
+        }
+        print(f"{robot.name}, {planner}: {len(good)} motions", flush=True)
+        if planner == OWN:
+            clock = _clock(config, robot, problems, ids, paths)
+            beside = _beside_toppra(config, robot, limits, problems, ids, paths)
+    both = np.isfinite(durations[OWN]) & np.isfinite(durations[RIVAL])
+    strata = {"all": both, "hard": both & hard}
+    compared = {
+        name: {"num": int(rows.sum())}
+        | {planner: float(durations[planner][rows].mean()) for planner in durations}
+        for name, rows in strata.items()
+        if rows.any()
+    }
+    return {
+        "arm": robot.name,
+        "num_problems": len(hard),
+        "planners": planners,
+        "durations": compared,
+        **clock,
+        "toppra": beside,
+    }
+
+
+def _scenes(problems: Problem, rows: np.ndarray):
+    return jax.tree.map(lambda x: x[rows], problems.scene)
+
+
+def _in_batches(
+    robot: Robot,
+    problems: Problem,
+    ids: np.ndarray,
+    paths: list[np.ndarray],
+    batch: int,
+    **options: bool | float,
+) -> list[Trajectory]:
+    """Motions along paths of some problems."""
+    found = []
+    for first in range(0, len(ids), batch):
+        some = slice(first, first + batch)
+        found += time_paths(robot, _scenes(problems, ids[some]), paths[some], **options)
+    return found
+
+
+def _largest_use(robot: Robot, limits: Limits, motion: Trajectory) -> float:
+    """The largest share of a limit that a motion needs, seen between its grid's moments, too."""
+    grid = np.asarray(motion.timing.times)
+    grid = np.unique(grid[np.isfinite(grid)])
+    times = np.linspace(grid[:-1], grid[1:], _DENSER, endpoint=False, axis=1).ravel()
+    seen = states(robot, motion, np.append(times, grid[-1]))
+    uses = [(seen.velocities, limits.velocity), (seen.accelerations, limits.acceleration)]
+    if limits.torque is not None:
+        uses.append((seen.torques, limits.torque))
+    return max(float(np.max(np.abs(values) / most)) for values, most in uses)
+
+
+def _clock(
+    config: MotionsConfig, robot: Robot, problems: Problem, ids: np.ndarray, paths: list
+) -> Row:
+    """How fast motions are found, in batches and one by one; batches were compiled before."""
+    begin, busy = time.perf_counter(), time.process_time()
+    _in_batches(robot, problems, ids, paths, config.batch, proven=True)
+    wall, busy = time.perf_counter() - begin, time.process_time() - busy
+    lone = []
+    for turn in range(2):  # the first compiles
+        lone = []
+        for i, path in zip(ids[: config.singles], paths, strict=False):
+            scene = _scenes(problems, i)
+            begin = time.perf_counter()
+            time_path(robot, scene, path, proven=True)
+            lone.append(time.perf_counter() - begin)
+        print(f"{robot.name}: one by one, turn {turn + 1}", flush=True)
+    return {"per_s": len(ids) / wall, "cores": busy / wall, "lone_s": describe(np.array(lone))}
+
+
+def _beside_toppra(
+    config: MotionsConfig,
+    robot: Robot,
+    limits: Limits,
+    problems: Problem,
+    ids: np.ndarray,
+    paths: list,
+) -> Row:
+    """Durations over toppra's, of the first motions without stops; and who finds none where the
+    other does."""
+    num = 2 * config.compared
+    found = _in_batches(
+        robot, problems, ids[:num], paths[:num], config.batch, proven=True, torque=ANY_TORQUE
+    )
+    going = [motion for motion in found if motion.cost > 0 and not motion.stops]
+    ratios, failed, theirs_failed = [], 0, 0
+    for motion in going[: config.compared]:
+        theirs = duration_by_toppra(jax.tree.map(np.asarray, motion.curve), limits)
+        failed += theirs is not None and not motion.success
+        theirs_failed += theirs is None and motion.success
+        if theirs is not None and motion.success:
+            ratios.append(motion.duration / theirs)
+    return {"ratios": ratios, "failed": failed, "theirs_failed": theirs_failed}
+
+
+def draw(results: Row) -> Figure:
+    """Draws durations beside RRT-Connect's, and over toppra's."""
+    rows = results["rows"]
+    figure = Figure(figsize=(11, 4), dpi=100, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    groups = [(row, name) for row in rows for name in row["durations"]]
+    for number, planner in enumerate((OWN, RIVAL)):
+        at = np.arange(len(groups)) + 0.4 * (number - 0.5)
+        height = [row["durations"][name][planner] for row, name in groups]
+        left.bar(at, height, 0.38, color=COLORS[planner], label=label(planner))
+    left.set_xticks(range(len(groups)), [f"{row['arm']}\n{name}" for row, name in groups])
+    left.tick_params(axis="x", labelsize=7)
+    left.set_title("duration, mean [s]")
+    left.legend()
+    right.boxplot([row["toppra"]["ratios"] for row in rows], whis=(0, 100))
+    right.set_xticks(range(1, len(rows) + 1), [row["arm"] for row in rows])
+    right.axhline(1.0, color="gray", linewidth=0.8)
+    right.set_title("duration over toppra's, same curves")
+    return figure
+
+
+def table(results: Row) -> str:
+    """A line an arm and planner, and one an arm beside toppra."""
+    lines, beside = [], []
+    for row in results["rows"]:
+        for planner, own in row["planners"].items():
+            means = [f"{part[planner]:.2f}" for part in row["durations"].values()]
+            lines.append(
+                [
+                    row["arm"],
+                    label(planner),
+                    f"{own['motions']} of {own['paths']}",
+                    str(own["certified"]),
+                    str(own["stops"]),
+                    f"{100 * own['largest_use']:.2f}",
+                    " / ".join(means),
+                ]
+            )
+        ratios, lone = np.array(row["toppra"]["ratios"]), row["lone_s"]
+        beside.append(
+            [
+                row["arm"],
+                f"{row['per_s']:.0f} ({row['cores']:.1f})",
+                f"{1e3 * lone['median']:.1f} / {1e3 * lone['p95']:.1f}",
+                str(len(ratios)),
+                f"{ratios.mean():.4f} ({ratios.min():.4f} to {ratios.max():.4f})",
+                f"{row['toppra']['failed']} / {row['toppra']['theirs_failed']}",
+            ]
+        )
+    settings = results["settings"]
+    head = ["arm", "paths of", "motions", "certified", "corners stopped at"]
+    head += ["largest use of a limit, %", "duration, s, mean, all / hard"]
+    more = ["arm", "motions/s (cores)", "one by one, ms, median / 95th", "beside toppra"]
+    more += ["duration over its own", "none found, here / there"]
+    return "\n".join(
+        [
+            f"{settings['num_problems']} test problems an arm; batches of {settings['batch']}. "
+            f"{made_on(results['machine'])}.\n",
+            markdown(head, lines),
+            markdown(more, beside),
+        ]
+    )
+
+
+def verdict(results: Row) -> str:
+    """Whether limits hold, durations are toppra's, and shorter than those of the rival's paths."""
+    rows = results["rows"]
+    parts = [own for row in rows for own in row["planners"].values()]
+    num, use = sum(own["motions"] for own in parts), max(own["largest_use"] for own in parts)
+    ratios = np.concatenate([row["toppra"]["ratios"] for row in rows])
+    failed = sum(row["toppra"]["failed"] for row in rows)
+    findings = [
+        Finding(use <= 1 + _SLACK, f"{num} motions use {100 * use:.2f} % of a limit at most"),
+        Finding(
+            bool((np.abs(ratios - 1) <= _CLOSE).all()) and not failed,
+            f"{len(ratios)} take {ratios.min():.4f} to {ratios.max():.4f} times as long as "
+            f"toppra's, which finds {failed} that are not found here",
+        ),
+    ]
+    for row in rows:
+        shares = [part[OWN] / part[RIVAL] for part in row["durations"].values()]
+        words = " and ".join(
+            f"{share:.2f} ({name})" for share, name in zip(shares, row["durations"], strict=True)
+        )
+        findings.append(
+            Finding(max(shares) < 1, f"{row['arm']}: {words} times as long as {label(RIVAL)}")
+        )
+    for row in rows:
+        lone = row["lone_s"]["median"]
+        findings.append(
+            Finding(
+                row["per_s"] >= _MANY and lone < _SOON,
+                f"{row['arm']}: {row['per_s']:.0f} motions/s, one alone in {1e3 * lone:.1f} ms",
+            )
+        )
+    return judge(*findings)
+
+
+EXPERIMENT = Experiment(
+    name="motions",
+    title="Motions in time",
+    claim="Motions keep their limits, take as long as toppra's along the same curve, and less than "
+    "those along RRT-Connect's simplified paths; 500 a second are found, and one in 20 ms.",
+    config=MotionsConfig,
+    quick={"num_problems": 3, "singles": 2, "compared": 2, "batch": 4},
+    measure=measurement,
+    draw=draw,
+    table=table,
+    verdict=verdict,
+)
+
+
+if __name__ == "__main__":
+    main(EXPERIMENT)
