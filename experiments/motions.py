@@ -66,11 +66,16 @@ class MotionsConfig(ExperimentConfig):
     """Motions that toppra times, too."""
     time_limit: float = 1.0
     """Seconds after which RRT-Connect gives a problem up."""
+    velocity: float | None = None
+    """Of all joints, rad/s or m/s; by default the model's."""
+    acceleration: float | None = None
+    """Of all joints, rad/s^2 or m/s^2; by default the model's."""
 
 
 def measurement(config: MotionsConfig) -> Measurement:
     """A row an arm."""
     names = ("num_problems", "batch", "singles", "compared", "time_limit")
+    names += ("velocity", "acceleration")
     settings = {name: getattr(config, name) for name in names} | {"seed": config.seeds[0]}
     return Measurement(_rows(config, settings), {"settings": settings})
 
@@ -88,7 +93,7 @@ def _rows(config: MotionsConfig, settings: Row) -> Iterator[Row]:
 
 def _measure(config: MotionsConfig, arm: str, path: Path) -> Row:
     robot, seed = load_robot(arm), config.seeds[0]
-    limits = limits_of(robot)
+    limits = limits_of(robot, velocity=config.velocity, acceleration=config.acceleration)
     problems = load_problems(path, robot).problems
     accepted = np.array([reason is None for reason in check_queries(robot, problems)])
     problems = jax.tree.map(lambda x: np.asarray(x)[accepted], problems)
@@ -101,7 +106,7 @@ def _measure(config: MotionsConfig, arm: str, path: Path) -> Row:
         plans = make_planner(robot, case).plan_batch(problems, seed=seed)
         ids = np.flatnonzero([plan.success for plan in plans])
         paths = [plans[i].path for i in ids]
-        found = _in_batches(robot, problems, ids, paths, config.batch, proven=planner == OWN)
+        found = _in_batches(config, robot, problems, ids, paths, proven=planner == OWN)
         good = [motion for motion in found if motion.success]
         durations[planner] = np.full(len(plans), np.nan)
         durations[planner][ids] = [m.duration if m.success else np.nan for m in found]
@@ -140,19 +145,23 @@ def _scenes(problems: Problem, rows: np.ndarray):
 
 
 def _in_batches(
+    config: MotionsConfig,
     robot: Robot,
     problems: Problem,
     ids: np.ndarray,
     paths: list[np.ndarray],
-    batch: int,
     **options: bool | float,
 ) -> list[Trajectory]:
     """Motions along paths of some problems."""
-    found = []
-    for first in range(0, len(ids), batch):
-        some = slice(first, first + batch)
-        found += time_paths(robot, _scenes(problems, ids[some]), paths[some], **options)
+    found, given = [], _given(config) | options
+    for first in range(0, len(ids), config.batch):
+        some = slice(first, first + config.batch)
+        found += time_paths(robot, _scenes(problems, ids[some]), paths[some], **given)
     return found
+
+
+def _given(config: MotionsConfig) -> Row:
+    return {"velocity": config.velocity, "acceleration": config.acceleration}
 
 
 def _largest_use(robot: Robot, limits: Limits, motion: Trajectory) -> float:
@@ -172,7 +181,7 @@ def _clock(
 ) -> Row:
     """How fast motions are found, in batches and one by one; batches were compiled before."""
     begin, busy = time.perf_counter(), time.process_time()
-    _in_batches(robot, problems, ids, paths, config.batch, proven=True)
+    _in_batches(config, robot, problems, ids, paths, proven=True)
     wall, busy = time.perf_counter() - begin, time.process_time() - busy
     lone = []
     for turn in range(2):  # the first compiles
@@ -180,7 +189,7 @@ def _clock(
         for i, path in zip(ids[: config.singles], paths, strict=False):
             scene = _scenes(problems, i)
             begin = time.perf_counter()
-            time_path(robot, scene, path, proven=True)
+            time_path(robot, scene, path, proven=True, **_given(config))
             lone.append(time.perf_counter() - begin)
         print(f"{robot.name}: one by one, turn {turn + 1}", flush=True)
     return {"per_s": len(ids) / wall, "cores": busy / wall, "lone_s": describe(np.array(lone))}
@@ -198,7 +207,7 @@ def _beside_toppra(
     other does."""
     num = 2 * config.compared
     found = _in_batches(
-        robot, problems, ids[:num], paths[:num], config.batch, proven=True, torque=ANY_TORQUE
+        config, robot, problems, ids[:num], paths[:num], proven=True, torque=ANY_TORQUE
     )
     going = [motion for motion in found if motion.cost > 0 and not motion.stops]
     ratios, failed, theirs_failed = [], 0, 0

@@ -4,7 +4,9 @@ from experiments import motions
 from experiments.motions import OWN, RIVAL, MotionsConfig
 from experiments.record import run
 from experiments.registry import EXPERIMENTS
+from gnnjax.scene.scene import make_scene
 from gnnjax.trajectory.limits import limits_of
+from gnnjax.trajectory.trajectory import time_path
 
 
 def test_the_quick_form_writes_results_and_goes_on(tiny_path, tmp_path, monkeypatch):
@@ -22,6 +24,8 @@ def test_the_quick_form_writes_results_and_goes_on(tiny_path, tmp_path, monkeypa
         data=tmp_path,
         runs=tmp_path,
         results=tmp_path / "out",
+        velocity=2.0,
+        acceleration=6.0,
         **experiment.quick,
     )
     results = run(experiment, config)
@@ -40,11 +44,9 @@ def test_the_quick_form_writes_results_and_goes_on(tiny_path, tmp_path, monkeypa
 
 
 def test_use_is_that_of_the_narrowest_limit(tiny):
-    from gnnjax.scene.scene import make_scene
-    from gnnjax.trajectory.trajectory import time_path
-
-    limits = limits_of(tiny)
-    motion = time_path(tiny, make_scene([], []), [tiny.home, tiny.home + 0.1], proven=True)
+    given = {"velocity": 2.0, "acceleration": 6.0}
+    limits, path = limits_of(tiny, **given), [tiny.home, tiny.home + 0.1]
+    motion = time_path(tiny, make_scene([], []), path, proven=True, **given)
     use = motions._largest_use(tiny, limits, motion)
     assert 0.9 < use < 1.001
     half = limits._replace(velocity=limits.velocity / 2, acceleration=limits.acceleration / 2)

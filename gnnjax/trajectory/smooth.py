@@ -10,6 +10,9 @@ from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.curve import blend_chords, distinct, edges_of
 
 _CHORDS = 6  # of a blend, to be certified; even
+# Of an edge, that a blend takes at most. Two halves would leave nothing between them, or what
+# rounding made of equal edges, so short that its push is rounding, too: 0.2 % above the limits.
+_HALF = 0.4999
 _HALVINGS = 6  # of a blend that is not certified, before the motion stops at its corner
 
 
@@ -26,7 +29,7 @@ def smooth_paths(
 ) -> list[Smoothed]:
     """Rounds the corners of P paths as far as is certified, all along the curves.
 
-    Each blend begins as `blend`, at most half of the shorter of its edges. Where that is not
+    Each blend begins as `blend`, at most nearly half of the shorter of its edges. Where that is not
     certified it is halved, and given up in the end.
 
     Args:
@@ -42,7 +45,7 @@ def smooth_paths(
 
     blends = []
     for path, good in zip(paths, free, strict=True):
-        half = edges_of(path)[0] / 2
+        half = _HALF * edges_of(path)[0]
         most = np.minimum(np.minimum(half[:-1], half[1:]), blend)
         blends.append(most if good else np.zeros_like(most))
     owner = np.repeat(np.arange(len(paths)), [len(x) for x in blends])
