@@ -40,6 +40,7 @@ from gnnjax.planning.load import make_planner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
+from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
 from gnnjax.trajectory.states import states
 from gnnjax.trajectory.trajectory import Trajectory, time_path, time_paths
@@ -140,7 +141,7 @@ def _measure(config: MotionsConfig, arm: str, path: Path) -> Row:
     }
 
 
-def _scenes(problems: Problem, rows: np.ndarray):
+def _scenes(problems: Problem, rows: np.ndarray | int) -> Scene:
     return jax.tree.map(lambda x: x[rows], problems.scene)
 
 
