@@ -1,6 +1,7 @@
 """Motions by toppra (Pham and Pham, 2018), an oracle for those that are found here."""
 
 import logging
+import warnings
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,12 @@ def duration_by_toppra(curve: Curve, limits: Limits) -> float | None:
         InputError: no toppra.
     """
     try:
-        from toppra import algorithm, constraint
-        from toppra.interpolator import AbstractGeometricPath
+        with warnings.catch_warnings():
+            # Of its strings, when Python first compiles them.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            warnings.simplefilter("ignore", SyntaxWarning)
+            from toppra import algorithm, constraint
+            from toppra.interpolator import AbstractGeometricPath
     except ImportError as error:
         raise InputError(f"no toppra ({error}); pip install 'gnnjax[experiments]'") from None
     logging.getLogger("toppra").setLevel(logging.ERROR)

@@ -43,15 +43,15 @@ class PlanConfig(QueryOptions, PlannerOptions, MotionOptions):
 def main(config: PlanConfig) -> int:
     """Plans, prints a summary and writes the files; returns 1 where there is no path."""
     # All that can be refused is refused before planning, which may take a minute.
+    check_apart(
+        (config.out, config.image, config.trajectory, config.video),
+        (config.scene, config.request, config.attach, config.robot),
+    )
     if check_target(config.out).suffix.lower() != ".npz":
         raise InputError(
             f"path file {str(config.out)!r} has the ending {config.out.suffix!r}; give .npz "
             "(arrays), or a motion's file as --trajectory, which may be .csv or .json"
         )
-    check_apart(
-        (config.out, config.image, config.trajectory, config.video),
-        (config.scene, config.request, config.attach, config.robot),
-    )
     robot, start, goal, scene = read_query(config, read_robot(config, config.torque))
     moves = config.trajectory is not None or config.video is not None
     if config.trajectory is not None:
