@@ -9,7 +9,10 @@ def ends_early(file: Path) -> bool:
 
     Readers find out about other formats themselves, but for OBJ, which says nothing.
     """
-    ending, data = file.suffix.lower(), file.read_bytes()
+    ending = file.suffix.lower()
+    if ending not in (".ply", ".off", ".stl"):
+        return False
+    data = file.read_bytes()
     rows = [row for row in data.split(b"\n") if row.strip() and not row.lstrip().startswith(b"#")]
     with contextlib.suppress(ValueError, IndexError):  # no such file, as its reader says
         if ending == ".ply" and any(row.split() == b"format ascii 1.0".split() for row in rows):
