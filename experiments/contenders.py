@@ -23,7 +23,7 @@ from gnnjax.evaluate import EvaluateConfig
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.planner import Planner
 from gnnjax.planning.processes import PlannerProcesses
-from gnnjax.planning.query import Plan, QueryPlanner, check_queries
+from gnnjax.planning.query import Plan, QueryPlanner
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
 
@@ -37,47 +37,26 @@ class HeldCase(EvaluateConfig):
     hold: tuple[tuple[str, float], ...] = ()  # rad or m, by name
 
 
-class Answer(NamedTuple):
-    """What became of a problem."""
-
-    plan: Plan | None  # None where the query was refused
-    checking_s: float  # share of the time that checking the queries took
-
-
 class Turn(NamedTuple):
     """All problems planned once."""
 
     wall_s: float  # from the arrays of problems to the arrays of paths
     cores: float  # kept busy in the mean
-    answers: list[Answer]
-
-
-def answer(planner: QueryPlanner, problems: Problem, seed: int) -> list[Answer]:
-    """Checks P queries and plans at once those that are accepted."""
-    begin = time.perf_counter()
-    reasons = check_queries(planner.robot, problems)
-    share = (time.perf_counter() - begin) / len(reasons)
-    accepted = np.flatnonzero([reason is None for reason in reasons])
-    plans: list[Plan | None] = [None] * len(reasons)
-    if len(accepted):
-        chosen = jax.tree.map(lambda x: x[accepted], problems)
-        found = planner.plan_batch(chosen, seed=seed)
-        for i, plan in zip(accepted, found, strict=True):
-            plans[i] = plan
-    return [Answer(plan, share) for plan in plans]
+    plans: list[Plan]
 
 
 def in_pools(planner: QueryPlanner, problems: Problem, pool: int, seed: int) -> Turn:
     """Plans problems in batches that are as equal as can be, none of more than `pool`."""
     num = len(problems.start)
     batches = np.array_split(np.arange(num), -(-num // pool))
-    answers: list[Answer] = []
+    plans: list[Plan] = []
     cpu = _cpu_time(planner)
     begin = time.perf_counter()
     for batch in batches:
-        answers += answer(planner, jax.tree.map(lambda x, at=batch: x[at], problems), seed)
+        some = jax.tree.map(lambda x, at=batch: x[at], problems)
+        plans += planner.plan_batch(some, seed=seed)
     wall = time.perf_counter() - begin
-    return Turn(wall, (_cpu_time(planner) - cpu) / wall, answers)
+    return Turn(wall, (_cpu_time(planner) - cpu) / wall, plans)
 
 
 def _cpu_time(planner: QueryPlanner) -> float:
@@ -95,18 +74,18 @@ def in_processes(workers: Executor, case: EvaluateConfig, rows: np.ndarray) -> T
         rows: of the set.
     """
     begin = time.perf_counter()
-    one = functools.partial(answer_one, case)
+    one = functools.partial(plan_one, case)
     found = list(workers.map(one, rows.tolist(), chunksize=_HANDED_OUT))
     wall = time.perf_counter() - begin
-    return Turn(wall, sum(cpu for _, cpu in found) / wall, [answer for answer, _ in found])
+    return Turn(wall, sum(cpu for _, cpu in found) / wall, [plan for plan, _ in found])
 
 
-def answer_one(case: EvaluateConfig, row: int) -> tuple[Answer, float]:
-    """Answers one problem of a set, in a process that keeps planner and set; and the CPU time."""
+def plan_one(case: EvaluateConfig, row: int) -> tuple[Plan, float]:
+    """Plans one problem of a set, in a process that keeps planner and set; and the CPU time."""
     begin = time.process_time()
     one = jax.tree.map(lambda x: x[row : row + 1], problems_of(case))
-    found = answer(planner_of(case), one, case.seed)[0]
-    return found, time.process_time() - begin
+    (plan,) = planner_of(case).plan_batch(one, seed=case.seed)
+    return plan, time.process_time() - begin
 
 
 @functools.cache
@@ -162,6 +141,6 @@ def _peak_memory(case: EvaluateConfig, num: int) -> float:
     problems = jax.tree.map(lambda x: x[:num], problems_of(case))
     planner = planner_of(case)
     planner.warm_up(jax.tree.map(lambda x: x[0], problems.scene), num)
-    answer(planner, problems, case.seed)
+    planner.plan_batch(problems, seed=case.seed)
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most / (2**20 if sys.platform == "darwin" else 2**10)

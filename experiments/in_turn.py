@@ -12,7 +12,6 @@ from experiments.turns import kept
 from gnnjax.arm.robot import Robot
 from gnnjax.measure.rows import make_row, straight_line_blocked
 from gnnjax.planning.planner import Planner
-from gnnjax.planning.query import check_queries
 from gnnjax.problems.problem import Problem
 
 _BLOCK = 25  # problems that are planned before the results are kept
@@ -46,34 +45,27 @@ def plan_in_turn(
     num = len(problems.start)
 
     @functools.cache
-    def ready() -> tuple[dict[str, Planner], list[str | None], np.ndarray]:
+    def ready() -> tuple[dict[str, Planner], np.ndarray]:
         planners = {name: make() for name, make in makers.items()}
         for name, planner in planners.items():
             print(f"compiling {name}", flush=True)
             planner.warm_up(jax.tree.map(lambda x: x[0], problems.scene))
-        return (
-            planners,
-            check_queries(robot, problems),
-            straight_line_blocked(robot, "fused", problems),
-        )
+        return planners, straight_line_blocked(robot, "fused", problems)
 
-    warm: set[int] = set()
+    warm: set[tuple[int, str]] = set()
 
     def block(seed: int, rows: range) -> dict[str, list[dict]]:
-        planners, reasons, blocked = ready()
+        planners, blocked = ready()
         found: dict[str, list[dict]] = {name: [] for name in planners}
         for i in rows:
             one = rows_of(problems, range(i, i + 1))
             for name, planner in planners.items():
-                plan = None
-                if reasons[i] is None:
-                    if seed not in warm:  # the roadmaps of this seed are stored from now on
-                        planner.plan_batch(one, seed=seed)
-                    plan = planner.plan_batch(one, seed=seed)[0]
-                row = make_row(i, plan, reasons[i] or "", bool(blocked[i]), 0.0)
-                found[name].append(row | {"path": []})
-            if reasons[i] is None:
-                warm.add(seed)
+                (plan,) = planner.plan_batch(one, seed=seed)
+                if plan.valid and (seed, name) not in warm:
+                    # The roadmaps of this seed are stored from now on.
+                    warm.add((seed, name))
+                    (plan,) = planner.plan_batch(one, seed=seed)
+                found[name].append(make_row(i, plan, bool(blocked[i])) | {"path": []})
         print(f"seed {seed}: {rows.stop} of {num} problems", flush=True)
         return found
 

@@ -124,6 +124,7 @@ class _Planner:
                 "path": np.stack([start, goal]),
                 "cost": float(np.linalg.norm(goal - start)),
                 "certified": True,
+                "valid": True,
             }
             plans.append(Plan(**values))
         return plans

@@ -109,10 +109,12 @@ def test_a_batch_says_of_each_invalid_problem_what_plan_says_of_it(planner, prob
     said = ["start has 9 for joint a", "goal has nan for joint a", "half_extents and radii [nan"]
     for i, words in zip((1, 2, 4), said, strict=True):
         assert words in found[i].reason
-        assert (found[i].success, found[i].configuration_checks) == (False, 0)
+        assert (found[i].valid, found[i].success) == (False, False)
+        assert found[i].configuration_checks == 0
     with pytest.raises(InputError) as error:
         planner.plan(one(scene, 1), start[1], goal[1])
     assert found[1].reason == str(error.value)
+    assert sum(plan.valid for plan in found) == len(found) - 3
     assert same([found[0], found[3], *found[5:]], [plans[0], plans[3], *plans[5:]])
     assert planner.plan_batch(jax.tree.map(lambda x: x[:0], problems)) == []
 

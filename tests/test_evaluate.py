@@ -20,7 +20,7 @@ from gnnjax.generate import GenerateConfig, generate
 from gnnjax.measure.statistics import summarize
 from gnnjax.measure.table import print_summary
 from gnnjax.planning.load import make_planner
-from gnnjax.planning.planner import GuidedPlanner
+from gnnjax.planning.planner import GuidedPlanner, WalkPlanner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.shards import load_problems
@@ -302,13 +302,14 @@ def test_one_problem_that_does_not_fit_and_other_errors_end_the_run(
 def test_problems_that_are_none_leave_the_others_of_their_batch_alone(
     tiny_path, problems, tmp_path, planner_once, name, num, bad
 ):
-    """Also without a check of the queries, which `plan_batch` leaves to its callers."""
     case = config(tiny_path, problems, tmp_path / "unused.json", planner=name)
     planner = planner_once(load_robot(tiny_path), case)
     valid = np.resize([0, 1, 3, 5], num)
     query = load_problems(problems, planner.robot).take(valid).problems
     plans = planner.plan_batch(query)
     assert sum(plan.success for plan in plans) >= num / 2
+    functions = planner._compiled(True) if isinstance(planner, WalkPlanner) else ()
+    sizes = [f._cache_size() for f in functions]
     for part in ("start", "goal", "centers", "half_extents"):
         changed = jax.tree.map(np.copy, query)
         getattr(changed if part in ("start", "goal") else changed.scene, part)[bad] = np.nan
@@ -316,11 +317,12 @@ def test_problems_that_are_none_leave_the_others_of_their_batch_alone(
         found = planner.plan_batch(changed)
         for i, (one, other) in enumerate(zip(plans, found, strict=True)):
             if i in bad:
-                assert not other.success
+                assert not other.valid
                 continue
             np.testing.assert_array_equal(one.path, other.path)
             drop = {"path": 0, "planning_time_s": 0, "total_time_s": 0}
             assert one._asdict() | drop == other._asdict() | drop
+    assert [f._cache_size() for f in functions] == sizes  # fewer, by the function for all
 
 
 def test_a_batch_finds_what_single_queries_find(tiny_path, problems, results, tmp_path):

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from experiments import contenders, throughput, turns
-from experiments.contenders import Answer, Turn
+from experiments.contenders import Turn
 from experiments.record import run
 from experiments.results import load_results
 from experiments.throughput import EXPERIMENT, Contender, ThroughputConfig
 from experiments.turns import folder_of, kept, summarize, summarize_turn
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.planning.query import Plan, make_plan
+from gnnjax.planning.query import Plan, make_plan, plan_valid
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.scene import box_scene
@@ -32,6 +32,9 @@ class StandIn:
         pass
 
     def plan_batch(self, problems, *, seed=0):
+        return plan_valid(self.robot, problems, 0.0, self._search)
+
+    def _search(self, problems):
         self.batches.append(len(problems.start))
         return [self._plan(q, p) for q, p in zip(problems.start, problems.goal, strict=True)]
 
@@ -139,15 +142,15 @@ def test_summaries_leave_out_what_was_refused(tiny_path):
     planner = StandIn(load_robot(tiny_path))
     solved, failed = (planner._plan(np.full(3, at, np.float32), np.ones(3)) for at in (0, 0.5))
     uncertified = solved._replace(certified=False, cost=5.0, configuration_checks=30)
-    answers = [Answer(plan, 0.1) for plan in (solved, failed, uncertified, None)]
-    columns = summarize_turn(Turn(2.0, 0.5, answers))
+    refused = failed._replace(valid=False)
+    columns = summarize_turn(Turn(2.0, 0.5, [solved, failed, uncertified, refused]))
     row = summarize([columns, columns | {"wall_s": 1.0}])
     assert row["per_s"] == [1.5, 3.0]
     assert (row["success_of_all"], row["success"]) == pytest.approx((1 / 2, 2 / 3))
     assert row["certified_paths"] == 0.5
     assert row["cost"]["mean"] == pytest.approx((np.sqrt(3) + 5) / 2)
     assert row["configuration_checks"]["mean"] == pytest.approx((9 + 9 + 30) / 3)
-    assert row["total_time_s"]["mean"] == pytest.approx(0.6)
+    assert row["total_time_s"]["mean"] == pytest.approx(0.5)
     assert row["cores"] == [0.5, 0.5]
 
 

@@ -23,7 +23,7 @@ from gnnjax.collision.certify import certify_path
 from gnnjax.errors import InputError
 from gnnjax.per_object import per_object
 from gnnjax.planning.options import PlannerOptions, check_options
-from gnnjax.planning.query import Plan
+from gnnjax.planning.query import Plan, plan_valid
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import Scene, inflated, is_axis_aligned
 
@@ -76,9 +76,16 @@ class ClassicalPlanner:
         record and in nobody's time: a path can be a success and not `certified`.
 
         Args:
-            problems: `[P, ...]`, which `check_query` accepts.
+            problems: `[P, ...]`.
             seed: of OMPL's random numbers; the same for each problem.
+
+        Raises:
+            InputError: arrays that are no problems.
         """
+        search = functools.partial(self._plan_accepted, seed)
+        return plan_valid(self.robot, problems, self.options.margin, search)
+
+    def _plan_accepted(self, seed: int, problems: Problem) -> list[Plan]:
         problems = problems._replace(scene=inflated(problems.scene, self.options.margin))
         boxes = problems.scene.mask.shape[-1]
         make = self._checks_maker(is_axis_aligned(problems.scene), boxes)
@@ -89,7 +96,7 @@ class ClassicalPlanner:
         begin = time.perf_counter()
         ledger = Ledger()
         is_valid, test_edge = make(problem.scene, ledger)
-        # Who asks has made sure of both, by a test that tells more than the kernels' does.
+        # `plan_valid` has made sure of both, by a test that tells more than the kernels' does.
         for q in (problem.start, problem.goal):
             ledger.know(np.asarray(q, np.float32), lambda _: True)
         ledger.sampling_checks = 2

@@ -13,7 +13,7 @@ from gnnjax.collision.bounds import compile_certificates
 from gnnjax.errors import InputError, is_out_of_memory
 from gnnjax.measure.rows import make_row, straight_line_blocked, within
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.query import Plan, QueryPlanner, check_queries
+from gnnjax.planning.query import QueryPlanner
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import StoredProblems
 
@@ -87,27 +87,18 @@ class Batches:
     ) -> list[dict] | None:
         """Of a batch of what is asked; None where memory does not suffice, for fewer at once."""
         planner, seed = self._planner, self._seed
-        begin = time.perf_counter()
-        reasons = check_queries(planner.robot, _take(asked, batch), self._options.margin)
-        checking = time.perf_counter() - begin
-        valid = batch[[reason is None for reason in reasons]]
-        plans: dict[int, Plan] = {}
+        queries = _take(asked, batch)
         try:
             shapes = self._size, *(x.shape[1:] for x in jax.tree.leaves(asked.scene))
             if shapes not in self._compiled:
                 planner.warm_up(_take(asked.scene, 0), self._size)
                 self._compiled.add(shapes)
-            if len(valid):
-                # Whole batches, so that nothing is compiled again.
-                queries = _take(asked, np.resize(valid, self._size))
-                if not self._stored:  # the roadmaps of this seed are, from now on
-                    planner.plan_batch(queries, seed=seed)
-                    self._stored = True
-                begin = time.perf_counter()
-                made = planner.plan_batch(queries, seed=seed)
-                self._spent += checking + time.perf_counter() - begin
-                self._planned += len(valid)
-                plans = dict(zip(valid.tolist(), made, strict=False))
+            if not self._stored:  # the roadmaps of this seed are, from now on
+                plans = planner.plan_batch(queries, seed=seed)
+                self._stored = any(plan.valid for plan in plans)
+            begin = time.perf_counter()
+            plans = planner.plan_batch(queries, seed=seed)
+            self._spent += time.perf_counter() - begin
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
             smaller = _halved(self._size, error)
             self._progress.console.print(
@@ -116,13 +107,10 @@ class Batches:
             )
             self._size = smaller
             return None
-        share = checking / len(batch)
+        self._planned += sum(plan.valid for plan in plans)
         return [
-            within(
-                make_row(first + i, plans.get(i), reason or "", bool(blocked[i]), share),
-                self._time_limit,
-            )
-            for i, reason in zip(batch.tolist(), reasons, strict=True)
+            within(make_row(first + i, plan, bool(blocked[i])), self._time_limit)
+            for i, plan in zip(batch.tolist(), plans, strict=True)
         ]
 
 

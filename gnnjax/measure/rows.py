@@ -29,27 +29,26 @@ QUANTITIES = {
 ROW = {"index", "valid", "hard", "success", "certified", "roadmaps", *QUANTITIES}
 
 
-def make_row(index: int, plan: Plan | None, invalid: str, hard: bool, checking: float) -> dict:
-    """The result of one problem; `plan` is None for an invalid problem."""
-    if plan is None:
+def make_row(index: int, plan: Plan, hard: bool) -> dict:
+    """The result of one problem."""
+    if not plan.valid:
         zeros = {name: 0 for name in QUANTITIES if name != "cost"}
         return {
             "index": index,
             "valid": False,
             "hard": hard,
             "success": False,
-            "reason": f"invalid problem: {invalid}",
+            "reason": f"invalid problem: {plan.reason}",
             "path": [],
             "cost": None,
             "certified": False,
             "roadmaps": 0,
             **zeros,
         }
-    row = {"index": index, "valid": True, "hard": hard, **plan._asdict()}
+    row = {"index": index, "hard": hard, **plan._asdict()}
     del row["trajectory"]
     row["path"] = plan.path.astype(float).tolist()
     row["cost"] = plan.cost if plan.success else None  # JSON has no infinity
-    row["total_time_s"] = plan.total_time_s + checking
     return row
 
 

@@ -125,8 +125,8 @@ class Planner(abc.ABC):
         Times are shared out equally over the problems that were worked on together, and hold no
         compilation. Those of a plan end with its path; its motion has one of its own.
 
-        Where `plan` would refuse a problem, `reason` of its plan is the sentence; others are
-        planned all the same.
+        Where `plan` would refuse a problem, its plan is not `valid` and `reason` is the sentence;
+        others are planned all the same.
 
         Args:
             problems: `[P, ...]`.
@@ -136,14 +136,20 @@ class Planner(abc.ABC):
         Raises:
             InputError: arrays that are no problems; limits of a motion, as in `plan`.
         """
-        motion, margin = motion_options(self.robot, trajectory), self.options.margin
-        seed = check_seed(seed)
+        motion, seed = motion_options(self.robot, trajectory), check_seed(seed)
         compile_certificates(self.robot)
+        search = functools.partial(self.plan_accepted, seed, motion)
+        return plan_valid(self.robot, problems, self.options.margin, search)
 
-        def search(valid: Problem) -> list[Plan]:
-            return self._plan_batch(valid._replace(scene=inflated(valid.scene, margin)), seed)
-
-        plans = plan_valid(self.robot, problems, margin, search)
+    @on_host()
+    def plan_accepted(
+        self, seed: int, motion: MotionOptions | None, problems: Problem
+    ) -> list[Plan]:
+        """`plan_batch` for P problems that `check_queries` accepts, without asking it."""
+        margin = self.options.margin
+        compile_certificates(self.robot)
+        thick = problems._replace(scene=inflated(problems.scene, margin))
+        plans = self._plan_batch(thick, seed)
         return with_motions(self.robot, plans, problems.scene, motion, margin)
 
     @on_host()

@@ -22,9 +22,10 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.devices import deal, gather, num_cores
-from gnnjax.errors import InputError, is_out_of_memory
+from gnnjax.errors import InputError, check_seed, is_out_of_memory
 from gnnjax.notice import silence
 from gnnjax.planning.load import make_planner
+from gnnjax.planning.motions import motion_options
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
 from gnnjax.planning.query import Plan, plan_valid
@@ -87,21 +88,22 @@ class PlannerProcesses:
         """See `Planner.plan_batch`; times are shared out over the processes, too.
 
         Raises:
-            InputError: a process has ended.
+            InputError: what `Planner.plan_batch` refuses, or a process has ended.
         """
         # What is wrong with one is found out here, as the arms of the processes have no model to
         # name what overlaps by.
         margin = self._planner.options.margin
-        search = functools.partial(self._plan_valid, seed, trajectory)
+        motion, seed = motion_options(self.robot, trajectory), check_seed(seed)
+        search = functools.partial(self._plan_accepted, seed, motion)
         return plan_valid(self.robot, jax.tree.map(np.asarray, problems), margin, search)
 
-    def _plan_valid(
-        self, seed: int, trajectory: bool | MotionOptions, problems: Problem
+    def _plan_accepted(
+        self, seed: int, motion: MotionOptions | None, problems: Problem
     ) -> list[Plan]:
         weights = jax.tree.map(np.asarray, self._planner.strategy.weights)
         dealt = self._deal(len(problems.start))
         parts = [jax.tree.map(lambda x, at=at: x[at], problems) for at in dealt]
-        found = self._call([("plan_batch", (weights, part, seed, trajectory)) for part in parts])
+        found = self._call([("plan_accepted", (weights, seed, motion, part)) for part in parts])
         return [
             plan._replace(
                 planning_time_s=plan.planning_time_s / len(dealt),
@@ -231,14 +233,14 @@ def work() -> None:
     planner = make_planner(robot, options, **given)
     assert isinstance(planner, Planner)
 
-    def plan_batch(
-        weights: Any, problems: Problem, seed: int, trajectory: bool | MotionOptions
+    def plan_accepted(
+        weights: Any, seed: int, motion: MotionOptions | None, problems: Problem
     ) -> list[Plan]:
         planner.use_weights(weights)
-        return planner.plan_batch(problems, seed=seed, trajectory=trajectory)
+        return planner.plan_accepted(seed, motion, problems)
 
     functions: dict[str, Callable[..., Any]] = {
-        "plan_batch": plan_batch,
+        "plan_accepted": plan_accepted,
         "warm_up": planner.warm_up,
         "cpu_time": time.process_time,
     }

@@ -1,6 +1,7 @@
 """A query and its answer: what every planner checks first and what it returns."""
 
 import logging
+import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -43,6 +44,7 @@ class Plan(NamedTuple):
     total_time_s: float  # from the query to the path
     roadmaps: int  # roadmaps sampled; 1 for planners that have none
     trajectory: Trajectory | None = None  # the motion along the path, where one was asked for
+    valid: bool = True  # False: the query was refused, for `reason`, and nothing was searched
 
 
 @runtime_checkable
@@ -63,7 +65,7 @@ class QueryPlanner(Protocol):
         """Compiles what planning in scenes like this may need."""
 
     def plan_batch(self, problems: Problem, *, seed: int = 0) -> list[Plan]:
-        """Plans P problems that `check_query` accepts."""
+        """Plans P problems; plans of those that `check_query` refuses are not `valid`."""
         ...
 
 
@@ -161,6 +163,8 @@ def plan_valid(
 ) -> list[Plan]:
     """Plans those of P problems that are valid; the plans of others tell what is wrong with them.
 
+    Total times hold what checking the queries took, in equal shares.
+
     Args:
         robot: the arm.
         problems: `[P, ...]`.
@@ -170,18 +174,20 @@ def plan_valid(
     Raises:
         InputError: arrays of other shapes, which are no problems at all.
     """
+    begin = time.perf_counter()
     reasons = check_queries(robot, problems, margin)
+    share = (time.perf_counter() - begin) / max(1, len(reasons))
     good = np.flatnonzero([reason is None for reason in reasons])
-    if 0 < len(good) == len(reasons):
-        return plan(problems)
-    found = plan(jax.tree.map(lambda x: np.asarray(x)[good], problems)) if len(good) else []
-    plans = dict(zip(good.tolist(), found, strict=True))
+    if len(good) < len(reasons):
+        problems = jax.tree.map(lambda x: np.asarray(x)[good], problems)
+    plans = dict(zip(good.tolist(), plan(problems) if len(good) else [], strict=True))
     nothing = dict.fromkeys(("edge_checks", "sampling_checks", "search_checks", "roadmaps"), 0)
     nothing |= dict.fromkeys(("planning_time_s", "total_time_s"), 0.0)
-    return [
-        plans.get(i) or make_plan(None, reason or "", robot.num_dof, **nothing)
+    found = [
+        plans.get(i) or make_plan(None, reason or "", robot.num_dof, valid=False, **nothing)
         for i, reason in enumerate(reasons)
     ]
+    return [plan._replace(total_time_s=plan.total_time_s + share) for plan in found]
 
 
 def _base_reasons(robot: Robot, scenes: Scene, clear: np.ndarray) -> list[str | None]:

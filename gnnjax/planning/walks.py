@@ -100,23 +100,29 @@ class Walks(Progress):
         seed: of the roadmaps.
         most_roadmaps: of a problem, with which it is given up; None: with all.
         """
+        # Of few sizes, one compilation each: some problems more than once, which nobody plans.
+        self._num = len(problems.start)
+        repeated = np.resize(np.arange(self._num), 1 << (self._num - 1).bit_length())
+        problems = jax.tree.map(lambda x: np.asarray(x)[repeated], problems)
         super().__init__(robot, problems, most_roadmaps=most_roadmaps)
+        self._is_own = np.arange(len(repeated)) < self._num
         self.strategy, self.options = strategy, options
         self.compiled, self.seed = compiled, seed
 
     def run(self) -> list[Plan]:
         """Plans all problems."""
         for number in range(self.options.max_roadmaps):
-            open_ = self.open(self.options.time_limit)
+            open_ = self.open(self.options.time_limit) & self._is_own
             if not open_.any():
                 break
             self._work(self._begin(number, open_), open_)
-        return self.plans(
+        plans = self.plans(
             [
                 f"no path in the {roadmaps} roadmaps tried ({self.strategy.describe})"
                 for roadmaps in self.roadmaps
             ]
         )
+        return plans[: self._num]
 
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
