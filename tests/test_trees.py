@@ -47,8 +47,9 @@ def strategy(robot):
     return make_planner(robot, PlannerOptions(num_nodes=32)).strategy
 
 
-def grown(robot, strategy, tester, problems, effort=1, time_limit=np.inf):
+def grown(robot, strategy, tester, problems, effort=1, time_limit=np.inf, defers=False):
     progress = Progress(robot, problems)
+    progress.defers = defers
     placed, ids = tester.place(progress.problems.scene), np.arange(len(problems.start))
     outlook = Outlook(progress, strategy, ids, 2)
     grow(robot, progress, tester, placed, ids, outlook, 0, effort, time_limit)
@@ -70,6 +71,20 @@ def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, strategy
         path = progress.paths[i]
         np.testing.assert_array_equal(path[[0, -1]], [problems.start[i], problems.goal[i]])
         assert certify_path(robot, jax.tree.map(lambda x, i=i: x[i], problems.scene), path)
+
+
+def test_paths_whose_certificate_is_to_wait_get_it_later(
+    robot, strategy, tester, problems, monkeypatch
+):
+    at_once, _ = grown(robot, strategy, tester, problems)
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "certify", None)  # nobody asks for one meanwhile
+        later, _ = grown(robot, strategy, tester, problems, defers=True)
+    assert all(path is None for path in later.paths)
+    np.testing.assert_array_equal(later.search_checks, at_once.search_checks)
+    later.prove()
+    for path, other in zip(later.paths, at_once.paths, strict=True):
+        np.testing.assert_array_equal(path, other)
 
 
 def test_a_problem_has_the_same_path_alone(robot, strategy, tester, problems):

@@ -46,6 +46,7 @@ class Run(Attempts):
             self.wanted = had & np.array([path is None for path in self.paths], bool)
             if self.wanted.any():
                 self._search_roadmaps()
+                self._grow_trees()
                 cut_short(self, self.tester, self.placed, np.flatnonzero(self.wanted))
         return self.plans([self._reason(i) for i in range(len(every))])
 

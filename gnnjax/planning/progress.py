@@ -33,7 +33,7 @@ class Progress:
         self.paths: list[np.ndarray | None] = [None] * num
         # Shorter paths that tests found free, which await their certificate; the shortest last.
         self.unproven: list[list[np.ndarray]] = [[] for _ in range(num)]
-        self.defers = False  # whether routes await theirs, or are certified at once
+        self.defers = False  # whether paths await theirs, or are certified at once
         self.sampling_checks = np.full(num, 2)  # start and goal
         self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
         self.planning_time, self.total_time = np.zeros((2, num))
@@ -113,10 +113,18 @@ class Progress:
             self._known = ids, known_obstacles(self.robot, scenes)
         return self._known[1]
 
+    def certify_or_keep(self, ids: np.ndarray, paths: list[np.ndarray]) -> list[np.ndarray] | None:
+        """`certify`, or, where that is to wait, keeps paths for `prove` and returns None."""
+        if not self.defers:
+            return self.certify(ids, paths)
+        for i, path in zip(ids.tolist(), paths, strict=True):
+            self.keep(i, path)
+        return None
+
     def certify_routes(
         self, ids: np.ndarray, rows: np.ndarray, routes: Route, edges: np.ndarray
     ) -> np.ndarray:
-        """`certify` for the routes of some slots of a pool, or keeps them for `prove`.
+        """`certify_or_keep` for the routes of some slots of a pool.
 
         Args:
             ids: problems.
@@ -128,11 +136,9 @@ class Progress:
             Of each problem, whether its path is certified, or awaits that.
         """
         paths = [routes.points[row, : routes.num[row]] for row in rows]
-        if self.defers:
-            for i, path in zip(ids.tolist(), paths, strict=True):
-                self.keep(i, path)
+        certified = self.certify_or_keep(ids, paths)
+        if certified is None:
             return np.ones(len(ids), bool)
-        certified = self.certify(ids, paths)
         for row, good in zip(rows, certified, strict=True):
             edges[row, np.flatnonzero(~good)] = INVALID
         return np.array([good.all() for good in certified], bool)

@@ -148,7 +148,7 @@ def grow(
             for row, tip, other in zip(*met, strict=True):
                 way = first.way(row, tip)[::-1] + second.way(row, other)[1:]
                 paths.append(np.stack(way if first is trees[0] else way[::-1]))
-            progress.certify(ids[rows[meet]], paths)
+            progress.certify_or_keep(ids[rows[meet]], paths)
         progress.spend(ids[open_rows], begin)
 
 
