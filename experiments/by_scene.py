@@ -50,7 +50,7 @@ def table(results: Row) -> str:
         f"{sum(settings['problems'].values())} problems of {settings['set']}.npz, "
         f"{settings['robot']}; a problem is valid if both ends are free. OMPL in "
         f"{settings['processes']} processes, at most {settings['time_limit']:g} s a problem; "
-        f"{OWN} one problem at a time, but plans/s with all of a scene at once. "
+        f"{OWN} one problem at a time, but plans/s with all of a scene, or of all scenes, at once. "
         f"{made_on(machine)}.\n"
     )
     head = "scene,planner,problems,valid,solved of all %,of valid %,certified of all %".split(",")

@@ -8,7 +8,7 @@ Motion Planning Datasets" (2021): a folder a scene, with a MoveIt planning scene
 problem. They are not shipped.
 
 The guided planner plans the problems of a scene one at a time, for the times of single queries,
-and all at once, for plans a second. OMPL's planners test with the same kernel and plan one problem
+and all at once, for plans a second; those of all scenes in one pool, too. OMPL's planners test with the same kernel and plan one problem
 after the other, in processes with a core each; the clock runs for all of these together. Everything
 is planned once before, untimed, as compilation is not part of it. What was planned is kept in
 `runs/`.
@@ -148,14 +148,18 @@ def _rows(
                 turns.setdefault(planner, {})[scene] = taken
                 print(f"{scene}: {label(planner)}, {per_s(taken[-1]):.1f} plans/s", flush=True)
                 yield _row(scene, planner, [taken], [turns[OWN][scene]])
+    every = {ALL: np.concatenate(list(rows.values()))}
+    pool = functools.partial(_plan_at_once, case(OWN), every[ALL], config.processes)
+    together = kept(folder / f"pool_{OWN}.json", pool)
+    print(f"{ALL}: {label(OWN)}, {per_s(together):.1f} plans/s", flush=True)
     for planner, taken in turns.items():
-        yield _row(ALL, planner, list(taken.values()), list(turns[OWN].values()))
+        row = _row(ALL, planner, list(taken.values()), list(turns[OWN].values()))
+        yield row | (_clocked(together) if planner == OWN else {})
     # Of the same problems, those that the guided planner solves.
     solved = {
         scene: chosen[np.array(turns[OWN][scene][0]["success"], bool)]
         for scene, chosen in rows.items()
     }
-    every = {ALL: np.concatenate(list(rows.values()))}
     solved[ALL] = np.concatenate(list(solved.values()))
     for scene, chosen in (rows | every).items():
         for name, values in told.items():
@@ -176,11 +180,17 @@ def _plan(
         in_processes(workers, case, chosen)  # compiles
         return [summarize_turn(in_processes(workers, case, chosen))]
     own = jax.tree.map(lambda x: x[chosen], problems_of(case))
-    found = []
-    for pool, planner in ((1, planner_of(case)), (len(chosen), processes_of(case, processes))):
-        in_pools(planner, own, pool, case.seed)
-        found.append(summarize_turn(in_pools(planner, own, pool, case.seed)))
-    return found
+    alone = functools.partial(in_pools, planner_of(case), own, 1, case.seed)
+    alone()
+    return [summarize_turn(alone()), _plan_at_once(case, chosen, processes)]
+
+
+def _plan_at_once(case: EvaluateConfig, chosen: np.ndarray, processes: int) -> Columns:
+    """A turn in one pool, in processes that share it."""
+    own = jax.tree.map(lambda x: x[chosen], problems_of(case))
+    planner = processes_of(case, processes)
+    in_pools(planner, own, len(chosen), case.seed)
+    return summarize_turn(in_pools(planner, own, len(chosen), case.seed))
 
 
 def _mean(values: np.ndarray) -> float | None:
@@ -194,13 +204,18 @@ def _row(scene: str, planner: str, taken: list[list[Columns]], ours: list[list[C
     the lower mean.
     """
     first, own = (joined([turns[0] for turns in each]) for each in (taken, ours))
-    clock = summarize([joined([turns[-1] for turns in taken])])
+    clock = joined([turns[-1] for turns in taken])
     row = {"scene": scene, "planner": planner} | summarize([first])
     row["certified"] = float(np.mean(first["certified"]))
     both = np.logical_and(first["success"], own["success"])
     costs = [_mean(np.array(each["cost"], float)[both]) for each in (first, own)]
     row["both"] = {"num": int(both.sum()), "cost": costs[0], "guided": costs[1]}
-    return row | {"per_s": clock["per_s"][0], "cores": clock["cores"][0]}
+    return row | _clocked(clock)
+
+
+def _clocked(turn: Columns) -> Row:
+    """What the clock says of a turn."""
+    return {"per_s": per_s(turn), "cores": turn["cores"]}
 
 
 def verdict(results: Row) -> str:

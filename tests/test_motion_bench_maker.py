@@ -1,6 +1,7 @@
 """The published problems are read as they are, planned scene by scene, and summed up."""
 
 import dataclasses
+import json
 import re
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -137,8 +138,11 @@ def test_scenes_are_planned_kept_and_summed_up(published, tiny_path, tmp_path, p
         assert (row["success_of_all"], row["success"], row["certified"]) == (3 / 5, 3 / 4, 3 / 5)
         assert row["configuration_checks"]["median"] == 9
         assert row["total_time_s"]["median"] > 0.5  # with the check of the query
-    # One at a time and all at once, each twice, the first of which is untimed.
-    assert planners["guided"].batches == [1, 1, 1, 1] + [1, 1, 1, 1] + [1] * 4 + [2, 2]
+    # One at a time and all at once, each twice, the first of which is untimed; then all scenes.
+    assert planners["guided"].batches == [1, 1, 1, 1] + [1, 1, 1, 1] + [1] * 4 + [2, 2] + [4, 4]
+    (folder,) = (tmp_path / "runs").iterdir()
+    together = json.loads((folder / "pool_guided.json").read_text())
+    assert rows[ALL, "guided"]["per_s"] == pytest.approx(4 / together["wall_s"])
     found = EXPERIMENT.verdict(results)
     better = "on the 3 that both solve the mean cost is 2.00, that of RRT-Connect, simplified, 3.00"
     assert better in found.split("What")[0]
