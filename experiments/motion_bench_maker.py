@@ -8,10 +8,10 @@ Motion Planning Datasets" (2021): a folder a scene, with a MoveIt planning scene
 problem. They are not shipped.
 
 The guided planner plans the problems of a scene one at a time, for the times of single queries,
-and all at once, for plans a second; those of all scenes in one pool, too. OMPL's planners test with the same kernel and plan one problem
-after the other, in processes with a core each; the clock runs for all of these together. Everything
-is planned once before, untimed, as compilation is not part of it. What was planned is kept in
-`runs/`.
+and all at once, for plans a second; those of all scenes in one pool, too. OMPL's planners test with
+the same kernel and plan one problem after the other, in processes with a core each; the clock runs
+for all of these together. Everything is planned once before, untimed, as compilation is not part of
+it. What was planned is kept in `runs/`.
 
 Total times hold the check of the query, and the guided planner's the certificate; OMPL's paths are
 certified afterwards. VAMP's costs, where a set has them, are its authors' own.
