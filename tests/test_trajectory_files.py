@@ -1,6 +1,7 @@
 """Motions in files."""
 
 import csv
+import dataclasses
 import json
 
 import numpy as np
@@ -183,6 +184,9 @@ def test_the_command_says_why_there_is_no_motion(tiny_path, tmp_path, capsys):
         ({**LIMITS, "trajectory": "motion.npz", "dt": 0.0}, "dt is 0.0; give a step"),
         ({**LIMITS, "trajectory": "motion.npz", "jerk": (-1.0,)}, "jerk limits of tiny are"),
         ({**LIMITS, "trajectory": "motion.npz", "blend": -1.0}, "blend is -1.0; give a length"),
+        ({"velocity": (1.0,)}, "^--velocity is of a motion, and none is asked for; give --traj"),
+        ({"dt": 0.02}, "--dt is of a motion"),
+        ({"torque": (9.0,)}, "--torque is of a motion"),
     ],
 )
 def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, given, message):
@@ -190,3 +194,9 @@ def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, given, message
     with pytest.raises(InputError, match=message):
         plan_once(config_of(tiny_path, tmp_path, **given))
     assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]
+
+
+def test_torques_that_hold_the_arm_at_rest_need_no_motion(tiny_path, tmp_path):
+    given = {"torque": (500.0,), "rest_share": 0.5, "num_nodes": 1}
+    with pytest.raises(InputError, match="num_nodes is 1"):  # which is looked at later
+        plan_once(dataclasses.replace(config_of(tiny_path, tmp_path), **given))
