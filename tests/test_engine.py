@@ -251,10 +251,10 @@ def test_more_effort_is_never_worse(planner, problems, plans, monkeypatch):
         ("lazysp", {"weights": "motion"}, "weights=motion with planner 'lazysp'; it is for plann"),
         (
             "ompl:prm",
-            {"num_nodes": 99, "time_limit": 1},
+            {"num_nodes": 99, "time_limit": 1.0},
             "num_nodes=99 with planner 'ompl:prm'; it is",
         ),
-        ("ompl:prm", {"max_roadmaps": 2, "time_limit": 1}, "max_roadmaps=2 with planner"),
+        ("ompl:prm", {"max_roadmaps": 2, "time_limit": 1.0}, "max_roadmaps=2 with planner"),
     ],
 )
 def test_options_that_a_planner_does_not_use_are_refused(planner, name, options, message):

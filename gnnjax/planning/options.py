@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 from gnnjax.collision.checker import EDGE_RESOLUTION
-from gnnjax.errors import InputError, check_option_names
+from gnnjax.errors import InputError, check_number, check_option_names
 
 DEFAULT_MAX_ROADMAPS = 8
 CHEAP = 10.0  # us; a check that takes longer is dearer than a look at the guide
@@ -124,6 +124,9 @@ def check_options(options: PlannerOptions) -> None:
         raise InputError(
             f"checker {options.checker!r} with planner {name!r}; it takes {list(backends)}"
         )
+    for field in dataclasses.fields(PlannerOptions):
+        if field.type in (int, float):
+            check_number(getattr(options, field.name), field.name)
     if options.num_nodes < 2:
         raise InputError(
             f"num_nodes is {options.num_nodes}; a roadmap needs at least start and goal"

@@ -6,7 +6,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import inverse_dynamics_by_mujoco
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_number
 from gnnjax.trajectory.curve import Curve, places
 from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import Trajectory
@@ -116,6 +116,7 @@ def followed(
 
 def check_step(dt: float) -> None:
     """Refuses a time between states that is none, or so short that they fill the memory."""
+    check_number(dt, "dt")
     if not 1e-5 <= dt < np.inf:
         raise InputError(f"dt is {dt}; give a step in seconds, such as 0.01")
 

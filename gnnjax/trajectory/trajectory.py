@@ -13,7 +13,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import torques_at_rest
 from gnnjax.clock import Clock
 from gnnjax.devices import cache_compilations
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_number
 from gnnjax.scene.scene import Scene, inflated
 from gnnjax.trajectory.batches import over_curves
 from gnnjax.trajectory.clearance import clearances_of
@@ -107,6 +107,7 @@ def find_motions(
 ) -> list[Trajectory]:
     """`time_paths` with its options in one."""
     limits = check_motion_options(robot, options)
+    check_number(margin, "margin")
     if not 0 <= margin < np.inf:
         raise InputError(f"margin is {margin}; give a clearance in metres, or 0")
     if not paths:
