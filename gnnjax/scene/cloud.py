@@ -73,10 +73,10 @@ def point_cloud(
     """
     array = checked_points(points, source)
     for name, size in (("radius", radius), ("voxel", voxel)):
-        if size is None and name == "voxel":
+        if name == "voxel" and voxel is None:
             continue
         check_number(size, f"{name} of {source}")
-        if not 0 < size < np.inf:
+        if size is None or not 0 < size < np.inf:
             raise InputError(f"{name} of {source} is {as_typed(size)}; it must be positive (m)")
     if voxel is None:
         return Balls(array, float(radius))
