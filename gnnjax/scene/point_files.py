@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gnnjax.arm.mesh_files import ends_early
+from gnnjax.arm.mesh_files import counts_back, ends_early
 from gnnjax.errors import InputError
 from gnnjax.files import FileKind, read_arrays
 
@@ -103,6 +103,11 @@ def by_trimesh(file: Path, called: str, what: str) -> Any:
         ) from None
     if ends_early(file):
         raise InputError(f"{called} ends too early; export it again")
+    if counts_back(file):
+        raise InputError(
+            f"{called} has faces whose corners have numbers below 1, which are misread; number "
+            "them from the first vertex on"
+        )
     try:
         # As it is: by itself, trimesh leaves out what is not finite.
         form = {"force": "mesh"} if what == "mesh" else {}

@@ -33,7 +33,8 @@ def mesh(
     of `INSIDE` (or of two voxels, or a hundredth of the mesh, if that is more) has room there.
 
     Args:
-        file: STL, OBJ, PLY or another format that trimesh reads.
+        file: STL, OBJ, PLY or another format that trimesh reads. One that was cut off is refused,
+            but for an OBJ between two lines, which is a whole one with fewer faces.
         center: where the mesh's origin is in the frame of the arm's base, m.
         quat: its orientation w x y z.
         scale: metres of the file's unit; 0.001 for millimetres.
