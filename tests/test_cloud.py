@@ -487,7 +487,7 @@ def test_points_are_read_from_files(ending, tmp_path):
         form = "binary" if "binary" in ending else "ascii"
         header = (
             "# .PCD v0.7\nVERSION 0.7\nFIELDS rgb x y z\nSIZE 4 4 4 4\nTYPE U F F F\n"
-            "COUNT 1 1 1 1\nWIDTH 50\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 50\n"
+            "COUNT 1 1 1 1\nWIDTH 50\nHEIGHT 1\nVIEWPOINT 1 2 3 0 1 0 0\nPOINTS 50\n"
             f"DATA {form}\n"
         ).encode()
         rows = np.zeros(50, [("rgb", "<u4"), ("p", "<f4", 3)])

@@ -16,7 +16,10 @@ _TYPES = {"F": "f", "U": "u", "I": "i"}  # of PCD's numbers, as NumPy calls them
 def points_from_file(path: str | Path) -> np.ndarray:
     """Points `[K, 3]` of a .npy, .npz (`points`, or its one array), .pcd or .ply file.
 
-    Points with NaN, by which depth cameras say that they saw nothing, are left out.
+    Points with NaN, by which depth cameras say that they saw nothing, are left out. The VIEWPOINT
+    of a .pcd, from where they were seen, moves none of them: PCL's and Open3D's loaders leave them
+    as they stand, too, and some writers give them in the sensor's frame, others in the world's. Who
+    has them in the sensor's (`pcl_transform_from_viewpoint`) moves them to the base of the arm.
 
     Raises:
         InputError: no such file, or none that holds points.
