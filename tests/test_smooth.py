@@ -164,7 +164,7 @@ def test_a_path_beyond_joint_limits_is_not_timed_and_says_which(tiny):
     path = [[0.0, 0.0, 0.0], [1.0, 0.0, 3.5]]
     found = time_path(tiny, make_scene([], []), path, velocity=1.0, acceleration=1.0)
     assert not found.certified
-    said = "the path has joint c at 3.5, beyond its limits -3 to 3"
+    said = "the path has joint c at 3.5, beyond its limits -2 to 2"
     assert found.reason == f"{said}; plan another one"
     with pytest.raises(InputError, match=f"{said}, so that it has no clearance"):
         proven_clearance(tiny, make_scene([], []), path)

@@ -180,7 +180,7 @@ def beyond_limits(robot: Robot, q: np.ndarray, slack: float = _ROUNDED) -> str:
 
 def _within_limits(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Whether configurations `[N, D]` are numbers within the joint limits, `[N]`."""
-    return _inside(robot, q, _ROUNDED).all(axis=1)
+    return np.all(_inside(robot, q, _ROUNDED), axis=1)
 
 
 def _inside(robot: Robot, q: np.ndarray, slack: float) -> np.ndarray:
