@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import errno
+import numbers
 import os
 import reprlib
 import select
@@ -153,6 +154,15 @@ def _is_unread(stream: TextIO) -> bool:
     poll = select.poll()
     poll.register(stream.fileno(), 0)
     return bool(poll.poll(0))
+
+
+def check_number(value: Any, called: str) -> None:
+    """Raises for what is no real number, such as its text, which nothing can be compared with."""
+    if not isinstance(value, numbers.Real):
+        # Arrays of no axes are numbers, too, NumPy's and JAX's.
+        kind = np.asarray(value).dtype.kind if getattr(value, "ndim", None) == 0 else "O"
+        if kind not in "biuf":
+            raise InputError(f"{called} is {brief(value)}; give a number")
 
 
 def check_seed(seed: int) -> int:

@@ -15,6 +15,7 @@ import contextlib
 import dataclasses
 import importlib.metadata
 import json
+import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -46,7 +47,9 @@ from gnnjax.problems.shards import StoredProblems
 from gnnjax.roll_call import RollCall
 from gnnjax.scene.holding import load_arm
 
+_LOG = logging.getLogger(__name__)
 _WRITE_EVERY_S = 1.0
+_CHECKSUM = "problems_sha256"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -115,7 +118,7 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     for name in ("json", "cluster", "keep_parts", "figure", "beside"):  # change no row
         del settings[name]
-    settings |= {"num_problems": num, "radius": planner.radius}
+    settings |= {"num_problems": num, "radius": planner.radius, _CHECKSUM: problems.sha256()}
     draw = _drawing(config, settings)
     results = {
         "format": FORMAT,
@@ -168,7 +171,7 @@ def _check_processes(config: EvaluateConfig) -> None:
 
 
 # What results share that a picture compares.
-_SAME = ("problems", "num_problems", "robot", "attach", "time_limit")
+_SAME = ("problems", _CHECKSUM, "num_problems", "robot", "attach", "time_limit")
 
 
 def _drawing(
@@ -189,7 +192,9 @@ def _drawing(
     figure = check_picture(config.figure)
     others = {path.stem: read_results(path, rows=False) for path in config.beside}
     for name, other in others.items():
-        theirs = other["settings"]
+        theirs = {_CHECKSUM: settings[_CHECKSUM]} | other["settings"]
+        if _CHECKSUM not in other["settings"]:
+            _LOG.warning("%r of --beside is older and does not tell which problems it had", name)
         for key in _SAME:
             if _shared(theirs, key) != _shared(settings, key):
                 raise InputError(
@@ -273,6 +278,7 @@ def _evaluate_parts(
 def _earlier(path: Path, settings: dict[str, Any], first: int = 0) -> list[dict]:
     fields = dataclasses.fields(EvaluateConfig)
     defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
+    defaults[_CHECKSUM] = settings[_CHECKSUM]  # which files from before it leave open
     return read_rows(path, settings, defaults, first)
 
 

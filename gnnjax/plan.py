@@ -58,6 +58,7 @@ def main(config: PlanConfig) -> int:
         check_trajectory_file(config.trajectory)
     if config.video is not None:
         check_video(config.video)
+    _check_of_motion(config, moves)
     if moves:
         check_motion_options(robot, config)
         check_step(config.dt)
@@ -113,6 +114,22 @@ def main(config: PlanConfig) -> int:
             draw_video(planner.robot, scene, shown.times, shown.positions, config.video)
             print(f"wrote {config.video}")
     return 0
+
+
+def _check_of_motion(config: PlanConfig, moves: bool) -> None:
+    """Refuses options of a motion where there is none."""
+    if moves:
+        return
+    of_motion = {field.name for field in dataclasses.fields(MotionOptions)} | {"dt"}
+    if config.rest_share is not None:
+        of_motion -= {"torque"}  # which that is a share of
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if field.name in of_motion and not np.array_equal(value, field.default):
+            raise InputError(
+                f"--{field.name} is of a motion, and none is asked for; give --trajectory or "
+                "--video, or leave it out"
+            )
 
 
 if __name__ == "__main__":

@@ -69,7 +69,10 @@ def planner_arena(config: ArenaConfig) -> Path:
 def _names(all_settings: list[dict[str, Any]], stems: list[str]) -> list[str]:
     """What planners are called: runs of one name are taken for one planner's, whatever its seed."""
     titles = [title_of(settings) for settings in all_settings]
-    apart = "seed problems num_problems time_limit robot attach rest_share radius".split()
+    apart = {
+        *("problems", "problems_sha256", "num_problems", "robot", "attach", "rest_share"),
+        *("seed", "time_limit", "radius"),
+    }
     own = [{k: v for k, v in settings.items() if k not in apart} for settings in all_settings]
     alike = [
         all(theirs == mine for theirs, other in zip(own, titles, strict=True) if other == title)
@@ -93,7 +96,7 @@ def _write(file: Path, all_results: list[dict[str, Any]], names: list[str]) -> N
             # Versions of what plans may differ: OMPL's planners are compared with ours.
             key = (
                 *(name, settings["num_problems"], settings["time_limit"]),
-                *(str(settings.get(held)) for held in ("attach", "rest_share")),
+                *(str(settings.get(x)) for x in ("problems_sha256", "attach", "rest_share")),
                 *(machine.get(part) for part in ("processor", "cores", "device", "gnnjax")),
             )
             if key not in experiments:

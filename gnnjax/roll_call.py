@@ -107,6 +107,8 @@ class RollCall:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if self._place.count == 1:
+            if error is None:
+                self._remove_what_is_left()
             return
         if self._all_at_once and isinstance(error, jax.errors.JaxRuntimeError):
             # Most likely another is gone, which the thread is about to find out.
@@ -130,6 +132,17 @@ class RollCall:
         for file in left:
             file.unlink(missing_ok=True)
         self._held.__exit__(None, None, None)
+
+    def _remove_what_is_left(self) -> None:
+        """Takes away the files of several that were killed, once a single process has made what was
+        missing; whose lock is held is still there, and keeps its own."""
+        folder, beside = self._target.parent, f"{glob.escape(self._name(''))}*"
+        names = {file.name.removesuffix(".new") for file in folder.glob(beside)}
+        locks = {file.name[1:].removesuffix(".lock") for file in folder.glob(f".{beside}.lock")}
+        for name in names | locks:
+            with contextlib.suppress(InputError, OSError), locked(folder / name):
+                for file in (folder / name, folder / f"{name}.new"):
+                    file.unlink(missing_ok=True)
 
     def _name(self, number: str) -> str:
         return f".{self._target.name}.process-{number}"

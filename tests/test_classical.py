@@ -360,7 +360,7 @@ def problems(tiny_path, tmp_path_factory):
 
 
 def config(tiny_path, problems, out, **changes):
-    settings = {"planner": "ompl:rrt_connect", "checker": "mujoco", "num_nodes": 30} | changes
+    settings = {"planner": "ompl:rrt_connect", "checker": "mujoco"} | changes
     return EvaluateConfig(problems=problems, json=out, robot=str(tiny_path), **settings)
 
 

@@ -487,7 +487,7 @@ def test_points_are_read_from_files(ending, tmp_path):
         form = "binary" if "binary" in ending else "ascii"
         header = (
             "# .PCD v0.7\nVERSION 0.7\nFIELDS rgb x y z\nSIZE 4 4 4 4\nTYPE U F F F\n"
-            "COUNT 1 1 1 1\nWIDTH 50\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 50\n"
+            "COUNT 1 1 1 1\nWIDTH 50\nHEIGHT 1\nVIEWPOINT 1 2 3 0 1 0 0\nPOINTS 50\n"
             f"DATA {form}\n"
         ).encode()
         rows = np.zeros(50, [("rgb", "<u4"), ("p", "<f4", 3)])
@@ -598,6 +598,37 @@ def test_meshes_of_text_that_end_too_early_are_refused(tmp_path, name, form):
     (tmp_path / name).write_bytes(cut)
     with pytest.raises(InputError, match=f"{name}' ends too early; export it again"):
         scene_from_mesh(tmp_path / name)
+
+
+TETRAHEDRON = "v 0 0 0\nv .1 0 0\nv 0 1e-1 0\nv 0 0 0.1\nf 1 2 3\nf 1/1 2/1 4/1\nf 1//1 3//1 4//1\n"
+
+
+@pytest.mark.parametrize(
+    ("ends", "message"),
+    [
+        ("f 2 3 4", None),
+        ("f 2/1/1 3/1/1 4/1/1 \r\n# made by hand", None),
+        ("v 0.3 0 0", None),
+        ("o nothing", None),
+        ("f 2 3", "ends too early; export it again"),
+        ("f", "ends too early"),
+        ("f 2/1 3/1 4/", "ends too early"),
+        ("v 0.3 0", "ends too early"),
+        ("v 0.3 0 -", "ends too early"),
+        ("f 2 3 9", "cannot be read"),
+        ("f 2 3 0", "numbers below 1, which are misread"),
+        ("f -3 -2 -1", "numbers below 1, which are misread"),
+        ("f 2 3 -1\nv 0 0 1", "numbers below 1, which are misread"),
+    ],
+)
+def test_what_is_told_of_an_obj_that_is_not_whole(tmp_path, ends, message):
+    file = tmp_path / "a.obj"
+    file.write_text(TETRAHEDRON + ends, newline="")
+    if message is None:
+        assert scene_from_mesh(file, solid=False).cloud is not None
+        return
+    with pytest.raises(InputError, match=message):
+        scene_from_mesh(file)
 
 
 def test_other_bad_input_is_refused_or_warned_of(tmp_path):

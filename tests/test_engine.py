@@ -244,10 +244,27 @@ def test_more_effort_is_never_worse(planner, problems, plans, monkeypatch):
     assert any(b.roadmaps > a.roadmaps for a, b in zip(plans, more, strict=True))
 
 
-def test_effort_has_to_be_positive_and_is_for_guided_alone(planner):
-    for name, effort, message in (
-        ("guided", 0, "effort is 0; it must be at least 1"),
-        ("lazysp", 2, "effort=2 with planner 'lazysp'; it is for planner 'guided'"),
-    ):
-        with pytest.raises(InputError, match=message):
-            make_planner(planner.robot, make_options(name, effort=effort))
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("guided", {"effort": 0}, "effort is 0; it must be at least 1"),
+        ("lazysp", {"effort": 2}, "effort=2 with planner 'lazysp'; it is for planner 'guided'"),
+        ("prm", {"check_cost": 1e3}, "check_cost=1000.0 with planner 'prm'; it is for planner 'gu"),
+        ("lazysp", {"weights": "motion"}, "weights=motion with planner 'lazysp'; it is for plann"),
+        (
+            "ompl:prm",
+            {"num_nodes": 99, "time_limit": 1.0},
+            "num_nodes=99 with planner 'ompl:prm'; it is",
+        ),
+        ("ompl:prm", {"max_roadmaps": 2, "time_limit": 1.0}, "max_roadmaps=2 with planner"),
+    ],
+)
+def test_options_that_a_planner_does_not_use_are_refused(planner, name, options, message):
+    with pytest.raises(InputError, match=message):
+        make_planner(planner.robot, make_options(name, **options))
+
+
+def test_a_guide_of_ones_own_takes_no_weights(planner):
+    options = make_options("guided", weights="motion")
+    with pytest.raises(InputError, match="weights=motion with a guide of your own"):
+        make_planner(planner.robot, options, planner.strategy.guide)

@@ -1,15 +1,59 @@
 """Errors in one line."""
 
+import dataclasses
+import inspect
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gnnjax.errors import InputError, as_typed, brief, check_seed, run_command
+from gnnjax.errors import InputError, as_typed, brief, check_number, check_seed, run_command
+from gnnjax.planning.options import PlannerOptions, check_options
+from gnnjax.scene.cloud import point_cloud
+from gnnjax.scene.surfaces import mesh
 from gnnjax.training.run import AGAIN
+from gnnjax.trajectory.options import MotionOptions, check_motion_options
+from gnnjax.trajectory.states import check_step
+
+
+def with_text(kind: type, name: str) -> SimpleNamespace:
+    """Options of which one is text, which nobody checks the type of but in tests."""
+    values = {field.name: field.default for field in dataclasses.fields(kind)}
+    return SimpleNamespace(**values | {name: "1", "is_classical": False})
+
+
+@pytest.mark.parametrize(
+    ("refuse", "message"),
+    [
+        (lambda: inspect.unwrap(mesh)("a.stl", scale="1"), "scale of mesh 'a.stl' is '1'; give"),
+        (lambda: inspect.unwrap(point_cloud)([[0, 0, 1]], None), "radius of the cloud is None; "),
+        (lambda: inspect.unwrap(check_step)("1"), "dt is '1'; give a number"),
+        (
+            lambda: inspect.unwrap(check_motion_options)(None, with_text(MotionOptions, "blend")),
+            "blend is '1'; give a number",
+        ),
+        (
+            lambda: inspect.unwrap(check_options)(with_text(PlannerOptions, "margin")),
+            "margin is '1'; give a number",
+        ),
+    ],
+)
+def test_what_is_no_number_is_refused(refuse, message):
+    with pytest.raises(InputError, match=message):
+        refuse()
+
+
+def test_numbers_of_all_libraries_are_numbers():
+    for value in (1, 0.5, True, np.float32(1), np.int64(1), np.array(1.0), jnp.array(2), np.inf):
+        check_number(value, "it")
+    for value in ("1", None, [1.0], np.array([1.0]), np.array("1"), 1j):
+        with pytest.raises(InputError, match=r"^it is .*; give a number$"):
+            check_number(value, "it")
 
 
 @pytest.mark.parametrize("seed", [-1, 2**31, 2**70])

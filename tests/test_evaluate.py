@@ -1,5 +1,6 @@
 """Evaluation: what is written, summed up, resumed and refused."""
 
+import dataclasses
 import json
 import re
 import signal
@@ -213,6 +214,28 @@ def test_a_picture_shows_results_beside_those_of_others(tiny_path, problems, res
     assert words.count(f"<!-- {solved} -->") >= 3
     assert "<!-- total time [ms] -->" in words
     assert "<!-- all problems (4) -->" in words
+
+
+def test_problems_of_one_name_and_another_content_are_not_compared_nor_gone_on_with(
+    tiny_path, problems, results, tmp_path, caplog
+):
+    (tmp_path / "again").mkdir()
+    other = tmp_path / "again" / problems.name
+    save_problems(other, load_problems(problems, load_robot(tiny_path)).take(slice(None, None, -1)))
+    out, old = tmp_path / "out.json", json.loads(json.dumps(results))
+    out.write_text(json.dumps(results).replace(str(problems), str(other)))  # as if it was there
+    pictures = {"figure": tmp_path / "summary.png", "beside": (out,)}
+    case = config(tiny_path, other, tmp_path / "new.json", **pictures)
+    with pytest.raises(InputError, match=r"'out' of --beside has problems_sha256 .*; name results"):
+        evaluate(case)
+    with pytest.raises(InputError, match=r"holds results with problems_sha256 '.*; choose another"):
+        evaluate(dataclasses.replace(case, json=out, figure=None, beside=()))
+    # Files from before there was one do not tell.
+    del old["settings"]["problems_sha256"]
+    out.write_text(json.dumps(old))
+    same = config(tiny_path, problems, out, figure=tmp_path / "a.png", beside=(out,))
+    assert evaluate(same)["problems"] == results["problems"]
+    assert "'out' of --beside is older and does not tell which problems it had" in caplog.text
 
 
 def test_a_picture_that_cannot_be_is_refused_before_planning(

@@ -203,7 +203,7 @@ def test_a_first_link_that_hangs_in_the_world_is_where_its_joint_is_at_zero(tmp_
 
 
 @pytest.mark.parametrize("name", ["kuka_iiwa14", "franka_panda"])
-def test_a_scene_that_includes_a_shipped_robot_has_only_the_rest(tmp_path, name):
+def test_a_scene_that_includes_a_shipped_robot_has_only_the_rest(tmp_path, caplog, name):
     robot = load_robot(name)
     text = f"""
     <mujoco><include file="{robot.path.resolve()}"/>
@@ -214,6 +214,7 @@ def test_a_scene_that_includes_a_shipped_robot_has_only_the_rest(tmp_path, name)
     </mujoco>"""
     scene = scene_from_mjcf(written(tmp_path, text), robot=robot)
     assert kinds_of(scene) == ["box", "half_space"]
+    assert not caplog.records  # of what the robot looks like
     np.testing.assert_allclose(scene.centers[0], [0.5, 0, 0.2], atol=1e-6)
     with pytest.raises(InputError, match="moves by a joint; if that is the robot, give robot="):
         scene_from_mjcf(written(tmp_path, text))
@@ -344,6 +345,22 @@ def test_a_geom_that_collides_in_an_explicit_pair_alone_is_an_obstacle(tmp_path)
       </worldbody><contact><pair geom1="seen" geom2="one"/></contact></mujoco>"""
     text = text.replace('name="other"', 'name="other" mass="1"')
     assert kinds_of(scene_from_mjcf(written(tmp_path, text))) == ["sphere", "sphere"]
+
+
+@pytest.mark.parametrize("discards", ["false", "true"])
+def test_geoms_for_looks_are_told_of_and_refused_where_all_are(tmp_path, caplog, discards):
+    lamp = '<body name="lamp"><geom name="glow" size="0.1" contype="0" conaffinity="0"/></body>'
+    text = f'<mujoco><compiler discardvisual="{discards}"/><worldbody>{lamp}</worldbody></mujoco>'
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match=r": 1, the first is geom glow .*; nothing else is there"):
+        scene_from_mjcf(path)
+    assert not scene_from_mjcf(path, ignore=["lamp"]).mask.any()
+    assert not scene_from_mjcf(path, ignore=["glow"]).mask.any()
+    assert not caplog.records
+    path = written(tmp_path, text.replace("<worldbody>", '<worldbody><geom size="0.1"/>'))
+    assert kinds_of(scene_from_mjcf(path)) == ["sphere"]
+    (told,) = caplog.messages
+    assert "for looks alone (contype and conaffinity 0) are no obstacles: 1, the first" in told
 
 
 @pytest.mark.parametrize(

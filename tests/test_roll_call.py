@@ -13,6 +13,7 @@ import pytest
 from gnnjax import roll_call
 from gnnjax.cluster import ClusterOptions, ConnectedOptions
 from gnnjax.errors import InputError
+from gnnjax.files import locked
 from gnnjax.roll_call import LostProcess, Place, RollCall
 
 
@@ -67,6 +68,26 @@ def test_the_first_goes_on_when_all_are_done_and_the_others_when_it_is_over(tmp_
     assert found == {0: True, 1: False, 2: False}
     assert order == ["late", "first", "early"]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_single_process_removes_what_those_that_were_killed_have_left(tmp_path):
+    dead, alive = (tmp_path / f".set.process-0000{index}-of-00002" for index in range(2))
+    others = [tmp_path / f".{name}.process-00000-of-00002" for name in ("set2", "my.set")]
+    for file in (dead, alive, tmp_path / f"{dead.name}.new", tmp_path / f".{dead.name}.lock"):
+        file.write_text("left")
+    for file in others:
+        file.write_text("of another target")
+    with locked(alive):
+        with pytest.raises(KeyError), RollCall(tmp_path / "set", Place()):
+            raise KeyError  # it has not come to its end either
+        assert dead.exists()
+        with RollCall(tmp_path / "set", Place()):
+            pass
+        left = {alive, tmp_path / f".{alive.name}.lock", *others}
+        assert set(tmp_path.iterdir()) == left
+    with RollCall(tmp_path / "set", Place()):
+        pass
+    assert set(tmp_path.iterdir()) == set(others)
 
 
 def test_a_reason_to_end_comes_to_all(tmp_path):

@@ -2,8 +2,11 @@
 
 import mujoco
 import numpy as np
+import pytest
 
 from gnnjax.collision.certify import certify_path
+from gnnjax.collision.margins import proven_clearance
+from gnnjax.errors import InputError
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.scene import make_scene
 from gnnjax.trajectory.curve import (
@@ -155,6 +158,16 @@ def test_a_path_that_collides_is_not_timed(tiny):
     assert not found.success
     assert not found.certified
     assert found.reason == "the path is not certified free of collisions; plan another one"
+
+
+def test_a_path_beyond_joint_limits_is_not_timed_and_says_which(tiny):
+    path = [[0.0, 0.0, 0.0], [1.0, 0.0, 3.5]]
+    found = time_path(tiny, make_scene([], []), path, velocity=1.0, acceleration=1.0)
+    assert not found.certified
+    said = "the path has joint c at 3.5, beyond its limits -2 to 2"
+    assert found.reason == f"{said}; plan another one"
+    with pytest.raises(InputError, match=f"{said}, so that it has no clearance"):
+        proven_clearance(tiny, make_scene([], []), path)
 
 
 def test_the_curve_keeps_the_margin_too(tiny):

@@ -1,6 +1,7 @@
 """Motions in files."""
 
 import csv
+import dataclasses
 import json
 
 import numpy as np
@@ -11,6 +12,7 @@ from gnnjax.errors import InputError
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.scene.scene import make_scene
+from gnnjax.scene.shapes import sphere
 from gnnjax.trajectory.files import load_trajectory, save_trajectory
 from gnnjax.trajectory.states import sample_trajectory
 from gnnjax.trajectory.trajectory import time_path
@@ -81,6 +83,27 @@ def test_motions_of_other_arms_are_refused(motion, tmp_path, kind):
         load_trajectory(motion[0], tmp_path / f"missing.{kind}")
 
 
+@pytest.mark.parametrize("kind", ["npz", "json"])
+def test_files_tell_what_the_arm_held_and_are_read_for_no_other(motion, tmp_path, kind):
+    robot, trajectory = motion
+    body, file = robot.bodies[-1].name, tmp_path / f"motion.{kind}"
+    light, heavy = (
+        robot.attach(
+            body, [sphere([0.2, 0, 0], 0.03)], mass=mass, allow=[x.name for x in robot.bodies]
+        )
+        for mass in (0.25, 0.5)
+    )
+    save_trajectory(heavy, trajectory, file, dt=0.05)
+    held = (
+        np.load(file)["held"] if kind == "npz" else json.loads(file.read_text())["gnnjax"]["held"]
+    )
+    assert list(held) == [f"{body} holds held_sphere_0, 0.5 kg"]
+    assert len(load_trajectory(heavy, file).times) > 2
+    for other in (robot, light):
+        with pytest.raises(InputError, match=r"tiny_holding_.*; name .*, and what it held .--atta"):
+            load_trajectory(other, file)
+
+
 def changed(change):
     """Writes a JSON file of which something was changed."""
 
@@ -106,6 +129,7 @@ BROKEN = [
     ("csv", lambda file: file.write_text(file.read_text().replace("\n0.02,", "\nnan,")), "finite"),
     ("json", lambda file: file.write_text("{"), "is no JSON"),
     ("json", lambda file: file.write_text("[1]"), "holds no motion"),
+    ("json", changed(lambda x: x.update(gnnjax=[])), "holds no motion"),
     ("json", changed(lambda x: x["points"][3].pop("effort")), "no entry 'effort'"),
     ("json", changed(lambda x: x["points"].reverse()), "do not begin at 0 and ascend"),
     ("json", changed(lambda x: x["points"][1].update(effort=[1.0])), "holds no motion"),
@@ -156,7 +180,8 @@ def test_the_command_writes_a_motion_from_start_to_goal(tiny_path, tmp_path, cap
     ends = [points[0]["positions"], points[-1]["positions"]]
     np.testing.assert_allclose(ends, [config.start, config.goal], atol=1e-9)
     found = json.loads(config.trajectory.read_text())["gnnjax"]
-    assert set(found) == {"cost_before", "cost", "clearance_before", "clearance"}
+    names = {"cost_before", "cost", "clearance_before", "clearance"}
+    assert set(found) == {"robot", "held", *names}
     assert found["cost"] < found["cost_before"]
     assert 0 < found["clearance"] <= 0.25
     told = capsys.readouterr().out
@@ -183,6 +208,9 @@ def test_the_command_says_why_there_is_no_motion(tiny_path, tmp_path, capsys):
         ({**LIMITS, "trajectory": "motion.npz", "dt": 0.0}, "dt is 0.0; give a step"),
         ({**LIMITS, "trajectory": "motion.npz", "jerk": (-1.0,)}, "jerk limits of tiny are"),
         ({**LIMITS, "trajectory": "motion.npz", "blend": -1.0}, "blend is -1.0; give a length"),
+        ({"velocity": (1.0,)}, "^--velocity is of a motion, and none is asked for; give --traj"),
+        ({"dt": 0.02}, "--dt is of a motion"),
+        ({"torque": (9.0,)}, "--torque is of a motion"),
     ],
 )
 def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, given, message):
@@ -190,3 +218,9 @@ def test_the_command_refuses_before_it_plans(tiny_path, tmp_path, given, message
     with pytest.raises(InputError, match=message):
         plan_once(config_of(tiny_path, tmp_path, **given))
     assert [file.name for file in tmp_path.iterdir()] == ["scene.json"]
+
+
+def test_torques_that_hold_the_arm_at_rest_need_no_motion(tiny_path, tmp_path):
+    given = {"torque": (500.0,), "rest_share": 0.5, "num_nodes": 1}
+    with pytest.raises(InputError, match="num_nodes is 1"):  # which is looked at later
+        plan_once(dataclasses.replace(config_of(tiny_path, tmp_path), **given))

@@ -223,6 +223,10 @@ def test_an_arm_that_others_publish_is_planned_for():
         ({"mesh": "package://my_arm/meshes/no.stl"}, r"mesh 'package://my_arm/meshes/no.stl' of"),
         ({"mesh": "https://somewhere.org/box.stl"}, "is on no disk; save it beside the URDF"),
         ({"data": b""}, "ends too early for an STL"),
+        (
+            {"data": b"v 0 0", "mesh": "package://my_arm/meshes/a.obj", "name": "a.obj"},
+            "a.obj' ends too early; export it again",
+        ),
         ({"data": bytes(84)}, "box.stl' is empty; export it again"),
         ({"data": b"solid x\nvertex 1 two 3\n"}, "is no STL"),
         ({"data": b"solid x\nvertex nan 1 1\nvertex 1 1 1\nvertex 1 1 2\n"}, "flat or not finite"),

@@ -340,6 +340,7 @@ def test_what_is_saved_is_read_again_and_planned_the_same(tiny, planner, tmp_pat
     config = tyro.cli(PlanConfig, args=words)
     assert (config.scene, config.robot) == (Path("scene.json"), "tiny.xml")
     assert (config.max_roadmaps, config.velocity) == (1, (1.5,))
+    assert config.trajectory == Path("motion.npz")  # without which the command takes no limits
     ends = np.array(config.start), np.array(config.goal)
     again = planner.plan(scene_from_json(tmp_path / "scene.json"), *ends)
     np.testing.assert_array_equal(again.path, plan.path)

@@ -1,16 +1,29 @@
 """Whether files of meshes are whole. Of text that ends too early, readers take what there is."""
 
 import contextlib
+import re
 from pathlib import Path
+
+# Whole last lines of an OBJ, of those that have numbers; a corner is 7, 7/7, 7//7 or 7/7/7.
+_CORNER = rb"\s+-?\d+(/-?\d+|/-?\d*/-?\d+)?"
+_NUMBER = rb"\s+[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
+_LAST = {
+    b"f": re.compile(_CORNER * 3 + rb"(%b)*\s*" % _CORNER),
+    b"v": re.compile(_NUMBER * 3 + rb"(%b)*\s*" % _NUMBER),
+}
+_RELATIVE = re.compile(rb"^[ \t]*f[ \t](?:[^\r\n]*[ \t])?(?:-\d|0+(?![0-9]))", re.MULTILINE)
 
 
 def ends_early(file: Path) -> bool:
-    """Whether a PLY, OFF or STL of text has fewer vertices and faces than it says, or no end.
+    """Whether a PLY, OFF or STL of text has fewer vertices and faces than it says, or no end, or an
+    OBJ ends within a vertex or face.
 
-    Readers find out about other formats themselves, but for OBJ, which says nothing.
+    Of OBJ no more can be told: it does not say how long it is, and one that is cut off between two
+    lines, or in the last digits of a number, is a whole file with fewer faces. Readers find out
+    about corners that are not there, and about other formats, themselves.
     """
     ending = file.suffix.lower()
-    if ending not in (".ply", ".off", ".stl"):
+    if ending not in (".ply", ".off", ".stl", ".obj"):
         return False
     data = file.read_bytes()
     rows = [row for row in data.split(b"\n") if row.strip() and not row.lstrip().startswith(b"#")]
@@ -19,6 +32,10 @@ def ends_early(file: Path) -> bool:
             header = [row.split()[0] for row in rows].index(b"end_header") + 1
             counts = [row.split()[2] for row in rows[:header] if row.startswith(b"element ")]
             return len(rows) - header < sum(map(int, counts))
+        if ending == ".obj":
+            last = rows[-1].partition(b"#")[0].strip()
+            word = last.split()[0]
+            return word in _LAST and not _LAST[word].fullmatch(last[len(word) :])
         if ending == ".off":
             first = 0 if len(rows[0].split()) > 1 else 1  # the counts may follow on the first line
             counts = rows[first].split()[-3:-1]
@@ -26,3 +43,9 @@ def ends_early(file: Path) -> bool:
         if ending == ".stl" and rows[0].startswith(b"solid") and b"facet" in rows[1]:
             return not rows[-1].lstrip().startswith(b"endsolid")
     return False
+
+
+def counts_back(file: Path) -> bool:
+    """Whether an OBJ names corners of faces as so many before, which trimesh takes for so many
+    before the last one of the file, or by 0, which there is not."""
+    return file.suffix.lower() == ".obj" and bool(_RELATIVE.search(file.read_bytes()))

@@ -34,7 +34,7 @@ from gnnjax.arm.kinematics import (
 )
 from gnnjax.arm.reading import motor_limits
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, brief, check_number
 
 Amounts: TypeAlias = float | int | Sequence | np.ndarray  # one for all joints, or one each
 
@@ -66,6 +66,7 @@ def at_rest_within(robot: Robot, share: float, torque: Amounts | None = None) ->
         InputError: a share or limits that are none; a joint without a limit; an arm that is held by
             other forces than those of motors and springs.
     """
+    check_number(share, "the share of torques at rest")
     if not 0 < share <= 1:
         raise InputError(
             f"the share of torques at rest is {brief(share)}; give one above 0, up to 1"

@@ -186,10 +186,10 @@ def _load(file: Path) -> tuple[str, bytes]:
     """A mesh as MuJoCo reads it: the ending of its name, and its bytes."""
     ending = file.suffix.lower()
     data = file.read_bytes()
-    if ending == ".obj":
-        return ending, data
     if ends_early(file):
         raise InputError(f"mesh {str(file)!r} ends too early; export it again")
+    if ending == ".obj":
+        return ending, data
     if ending == ".stl" and data[:5].lower() == b"solid" and b"vertex" in data[:2000]:
         return ".stl", _hull_stl(_text_stl(data, file), file)
     if ending == ".stl":

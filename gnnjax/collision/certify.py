@@ -11,13 +11,15 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.gaps import Moments, gaps_of, members
 from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of, scene_faults
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.scene.allowed import check_allowed, check_arm
 from gnnjax.scene.scene import Scene
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
 _SHORTEST_PIECE = 1e-4
+# Half an ulp of single precision: joint limits are stored as float32.
+_ROUNDED = 1e-6
 FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
 PIECES_A_BATCH = 1024  # whose arrays fit into a core's cache
 _EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
@@ -162,12 +164,27 @@ def _next_batch(edge: np.ndarray) -> tuple[np.ndarray | slice, np.ndarray | slic
     return now, np.delete(np.arange(len(edge)), now)
 
 
+def beyond_limits(robot: Robot, q: np.ndarray, slack: float = _ROUNDED) -> str:
+    """Which joint of configurations `[N, D]` is not within its limits, as words that go on from
+    what has it; none where all are."""
+    beyond = ~_inside(robot, q, slack)
+    if not beyond.any():
+        return ""
+    row, joint = (int(x[0]) for x in np.nonzero(beyond))
+    low, high = (as_typed(x[joint]) for x in (robot.joint_lower, robot.joint_upper))
+    return (
+        f"has joint {robot.joint_names[joint]} at {q[row, joint]:.8g}, beyond its limits {low:g} "
+        f"to {high:g}"
+    )
+
+
 def _within_limits(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Whether configurations `[N, D]` are numbers within the joint limits, `[N]`."""
-    # Half an ulp of single precision: limits are stored as float32.
-    slack = 1e-6
-    inside = (q >= robot.joint_lower - slack) & (q <= robot.joint_upper + slack)
-    return np.all(inside, axis=1)
+    return np.all(_inside(robot, q, _ROUNDED), axis=1)
+
+
+def _inside(robot: Robot, q: np.ndarray, slack: float) -> np.ndarray:
+    return (q >= robot.joint_lower - slack) & (q <= robot.joint_upper + slack)
 
 
 def known_obstacles(robot: Robot, scene: Scene | Obstacles) -> Obstacles:

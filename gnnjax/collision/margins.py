@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.collision.certify import certify_path
+from gnnjax.collision.certify import beyond_limits, certify_path
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene, inflated
 
@@ -32,7 +33,8 @@ def proven_clearance(
     """
     found = largest_margin(lambda margin: certify_path(robot, inflated(scene, margin), path), most)
     if found is None:
-        raise InputError("the path is not certified, so that it has no clearance; plan another one")
+        why = beyond_limits(robot, np.asarray(path, float)) or "is not certified"
+        raise InputError(f"the path {why}, so that it has no clearance; plan another one")
     return found
 
 

@@ -77,6 +77,10 @@ def make_planner(
     name = options.planner
     if guide is not None and name != "guided":
         raise InputError(f"a guide with planner {name!r}; only planner 'guided' takes one")
+    if guide is not None and options.weights is not None:
+        raise InputError(
+            f"weights={options.weights} with a guide of your own, which has its own; leave them out"
+        )
     if scorer is not None and name != "greedy":
         raise InputError(f"a scorer with planner {name!r}; only planner 'greedy' takes one")
     if scorer is None and name == "greedy":

@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 from gnnjax.collision.checker import EDGE_RESOLUTION
-from gnnjax.errors import InputError, check_option_names
+from gnnjax.errors import InputError, check_number, check_option_names
 
 DEFAULT_MAX_ROADMAPS = 8
 CHEAP = 10.0  # us; a check that takes longer is dearer than a look at the guide
@@ -34,6 +34,22 @@ PLANNERS = {
 }
 CHECKERS = ("fused", "mjx", "mujoco")
 
+# Options that not all planners use: those that do, and what they are called. To others they are not
+# given in silence.
+_GUIDED = ("guided",), "planner 'guided'"
+_OMPL = tuple(name for name in PLANNERS if name.startswith("ompl:")), "OMPL's planners"
+_OURS = tuple(name for name in PLANNERS if name not in _OMPL[0]), "our own planners"
+_USED_BY = {
+    "num_nodes": _OURS,
+    "max_roadmaps": _OURS,
+    "weights": (("guided", "gnn", "gnn_lazy"), "planners 'guided', 'gnn' and 'gnn_lazy'"),
+    "effort": _GUIDED,
+    "shorten": _GUIDED,
+    "sampled": _GUIDED,
+    "check_cost": _GUIDED,
+    "simplify": _OMPL,
+}
+
 _PLANNER_HELP = "How a path is found: " + "; ".join(f"{n} ({what})" for n, what in PLANNERS.items())
 
 
@@ -43,7 +59,8 @@ class PlannerOptions:
 
     planner: Annotated[str, tyro.conf.arg(help=_PLANNER_HELP)] = "guided"
     num_nodes: int = 200
-    """Nodes of a roadmap, start and goal included; of the first one, for guided."""
+    """Nodes of a roadmap, start and goal included; of the first one, for guided. Like max_roadmaps
+    not for OMPL's planners."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up; 1 is the paper's way."""
     effort: int = 1
@@ -107,6 +124,9 @@ def check_options(options: PlannerOptions) -> None:
         raise InputError(
             f"checker {options.checker!r} with planner {name!r}; it takes {list(backends)}"
         )
+    for field in dataclasses.fields(PlannerOptions):
+        if field.type in (int, float):
+            check_number(getattr(options, field.name), field.name)
     if options.num_nodes < 2:
         raise InputError(
             f"num_nodes is {options.num_nodes}; a roadmap needs at least start and goal"
@@ -130,11 +150,9 @@ def check_options(options: PlannerOptions) -> None:
         raise InputError(f"time_limit is {options.time_limit}; it must be more than 0 s")
     if options.is_classical and not np.isfinite(options.time_limit):
         raise InputError(f"time_limit with planner {name!r} is infinite; choose some seconds")
-    if name != "guided" and (options.sampled or not options.shorten or options.effort > 1):
-        option = "sampled" if options.sampled else f"effort={options.effort}"
-        option = option if options.shorten else "shorten=False"
-        raise InputError(
-            f"{option} with planner {name!r}; it is for planner 'guided', leave it out"
-        )
-    if options.simplify and not options.is_classical:
-        raise InputError(f"simplify with planner {name!r}; it is for OMPL's planners, leave it out")
+    defaults = {field.name: field.default for field in dataclasses.fields(PlannerOptions)}
+    for option, (users, called) in _USED_BY.items():
+        value = getattr(options, option)
+        if name not in users and value != defaults[option]:
+            given = option if value is True else f"{option}={value}"
+            raise InputError(f"{given} with planner {name!r}; it is for {called}, leave it out")

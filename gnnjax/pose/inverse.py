@@ -19,7 +19,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import rests
 from gnnjax.collision.clearances import clearances
 from gnnjax.devices import cache_compilations, map_first, run_where_called
-from gnnjax.errors import InputError, brief, check_seed
+from gnnjax.errors import InputError, brief, check_number, check_seed
 from gnnjax.pose.chain import chain_of
 from gnnjax.pose.goal import AXES, PoseGoal, check_goal, tool_frame
 from gnnjax.pose.solver import LEVER, Reached, Target, descend
@@ -79,6 +79,7 @@ def inverse_kinematics(
     position, quat = check_goal(goal)
     if num_solutions < 1:
         raise InputError(f"num_solutions is {num_solutions}; ask for 1 or more")
+    check_number(margin, "margin")
     if not margin >= 0:
         raise InputError(f"margin is {margin}; it must be 0 m or more")
     home = _configuration(robot, near)

@@ -56,6 +56,13 @@ class StoredProblems:
     def __len__(self) -> int:
         return self._firsts[-1] if self._whole is None else len(self._whole)
 
+    def sha256(self) -> str:
+        """Checksum of the file, or of those of all shards; sets of another content have another."""
+        if self._whole is not None:
+            return _sha256(self._folder)
+        sums = "".join(shard["sha256"] for shard in self._shards)
+        return hashlib.sha256(sums.encode()).hexdigest()
+
     def part(self, first: int, last: int) -> ProblemSet:
         """Problems `first` to `last`, the latter not included."""
         if self._whole is not None:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from gnnjax.errors import InputError, as_typed
+from gnnjax.errors import InputError, as_typed, check_number
 
 NODES = 48  # of the grid, along each axis
 AROUND = 0.15  # m, of the grid beyond the points: where it ends, all spheres of an arm are clear
@@ -73,7 +73,10 @@ def point_cloud(
     """
     array = checked_points(points, source)
     for name, size in (("radius", radius), ("voxel", voxel)):
-        if size is not None and not 0 < size < np.inf:
+        if name == "voxel" and voxel is None:
+            continue
+        check_number(size, f"{name} of {source}")
+        if size is None or not 0 < size < np.inf:
             raise InputError(f"{name} of {source} is {as_typed(size)}; it must be positive (m)")
     if voxel is None:
         return Balls(array, float(radius))

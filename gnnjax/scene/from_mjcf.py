@@ -1,5 +1,6 @@
 """Obstacles from MuJoCo models: what collides there and is not the robot, as its base sees it."""
 
+import logging
 from collections.abc import Callable, Collection
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from gnnjax.arm.mjcf import collision_geoms, soft_bodies, without_warnings
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, one_line
 from gnnjax.scene.cloud import Balls
 from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved, moved_points
 from gnnjax.scene.robot_in_mjcf import (
@@ -24,6 +25,7 @@ from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import Shape, box, capsule, cylinder, half_space, sphere
 from gnnjax.scene.surfaces import enclosed, height_field
 
+_LOG = logging.getLogger(__name__)
 _ORIGIN = np.zeros(3)
 # Geoms about their own frame, by their sizes. MuJoCo's planes are solid below, and endless whatever
 # their size.
@@ -75,8 +77,10 @@ def scene_from_mjcf(
     field.
 
     Every geom with `contype` or `conaffinity`, or in an explicit pair, is an obstacle, unless it is
-    the robot's or ignored. Bodies stand where the model's own pose or a keyframe has them, those
-    with joints, too. The scene is seen from the robot's base, or without a robot from the world.
+    the robot's or ignored. What has neither is for looks alone and no obstacle, as in MuJoCo: a
+    warning tells of it, and where nothing else is there it is refused. Bodies stand where the
+    model's own pose or a keyframe has them, those with joints, too. The scene is seen from the
+    robot's base, or without a robot from the world.
 
     Args:
         path: of the MJCF.
@@ -87,7 +91,7 @@ def scene_from_mjcf(
     Raises:
         InputError: a file that MuJoCo cannot read, a geom of another kind or a flex, a body that
             moves by a hinge or slide joint though no robot is named, or one that the robot carries
-            and does not have, or a name that is not there.
+            and does not have, or a name that is not there; geoms that all are for looks alone.
     """
     called = f"{str(path)!r}"
     model = _compiled(path, called)
@@ -142,6 +146,19 @@ def scene_from_mjcf(
                 "name its first body in ignore; if it stands still, remove the joint"
             )
         found.append((g, pose))
+    solid = set(collision_geoms(model).tolist())
+    _tell_of_looks(
+        [
+            _name(model, g)
+            for g, body in enumerate(model.geom_bodyid.tolist())
+            if g not in solid
+            and body not in ignored
+            and body not in of_robot
+            and not _named(model.geom(g).name, ignore)
+        ],
+        bool(found),
+        called,
+    )
     # Only now, as meshes may be those of a robot that was not named.
     shapes, clouds = [], []
     for g, pose in found:
@@ -155,6 +172,20 @@ def scene_from_mjcf(
         else:
             shapes.append(moved(_shape(model, g, called), pose))
     return scene_from_shapes(shapes, clouds=clouds, source=called)
+
+
+def _tell_of_looks(geoms: list[str], anything: bool, called: str) -> None:
+    """Says that what does not collide is no obstacle; refuses it where there is nothing else, as
+    planners would go through all of the scene."""
+    if not geoms:
+        return
+    said = (
+        f"geoms of {called} that are for looks alone (contype and conaffinity 0) are no obstacles: "
+        f"{len(geoms)}, the first is {geoms[0]}"
+    )
+    if not anything:
+        raise InputError(f"{said}; nothing else is there, so let what is solid collide (contype)")
+    _LOG.warning("%s", one_line(said))
 
 
 def mjcf_holds(path: str | Path, robot: Robot) -> bool:
@@ -171,7 +202,9 @@ def _compiled(path: str | Path, called: str) -> mujoco.MjModel:
         raise InputError(f"no MJCF file at {called}; check the path")
     try:
         with without_warnings():
-            return mujoco.MjSpec.from_file(str(path)).compile()
+            spec = mujoco.MjSpec.from_file(str(path))
+            spec.compiler.discardvisual = False  # what is no obstacle is told of
+            return spec.compile()
     except ValueError as error:
         raise InputError(f"MuJoCo cannot read {called}: {str(error).strip()}") from None
 

@@ -27,6 +27,7 @@ from gnnjax.scene.pose import Pose
 from gnnjax.scene.scene_file import read_json, shapes_of
 
 _LOG = logging.getLogger(__name__)
+_HOLDS = " holds "  # in notes of arms
 
 
 def attach(
@@ -133,7 +134,7 @@ def _attached(
             *(np.full(len(x.radii), len(old) + h) for h, x in enumerate(covers)),
         ]
     )
-    note = f"{body} holds {', '.join(names)}" + (f", {mass:g} kg" if mass else "")
+    note = f"{body}{_HOLDS}{', '.join(names)}" + (f", {mass:g} kg" if mass else "")
     _LOG.info("%s: %s", robot.name, note)
     return dataclasses.replace(
         robot,
@@ -152,6 +153,12 @@ def _attached(
         self_pairs=pairs_of_rows(geom_parts, pairs),
         notes=(*robot.notes, note),
     )
+
+
+def held_by(robot: Robot) -> list[str]:
+    """What an arm holds, in words: which body, which shapes, and what they weigh. Arms that differ
+    in the sizes of these differ in their names."""
+    return [note for note in robot.notes if _HOLDS in note]
 
 
 def attach_from_json(robot: Robot, path: str | Path) -> Robot:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gnnjax.arm.parts import Part
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, brief, check_number
 from gnnjax.scene.cloud import checked_points
 
 MARGIN = 0.03  # m, unless told
@@ -55,6 +55,7 @@ def without_robot(
             f"{source} was seen with {robot.name} at {brief(configuration)}; give "
             f"{robot.num_dof} finite joint values"
         )
+    check_number(margin, f"margin of {source} to the arm")
     if not 0 <= margin < np.inf:
         raise InputError(f"margin of {source} to the arm is {margin}; give 0 or more (m)")
     data = mujoco.MjData(robot.mj_model)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gnnjax.arm.mesh_files import ends_early
+from gnnjax.arm.mesh_files import counts_back, ends_early
 from gnnjax.errors import InputError
 from gnnjax.files import FileKind, read_arrays
 
@@ -16,7 +16,10 @@ _TYPES = {"F": "f", "U": "u", "I": "i"}  # of PCD's numbers, as NumPy calls them
 def points_from_file(path: str | Path) -> np.ndarray:
     """Points `[K, 3]` of a .npy, .npz (`points`, or its one array), .pcd or .ply file.
 
-    Points with NaN, by which depth cameras say that they saw nothing, are left out.
+    Points with NaN, by which depth cameras say that they saw nothing, are left out. The VIEWPOINT
+    of a .pcd, from where they were seen, moves none of them: PCL's and Open3D's loaders leave them
+    as they stand, too, and some writers give them in the sensor's frame, others in the world's. Who
+    has them in the sensor's (`pcl_transform_from_viewpoint`) moves them to the base of the arm.
 
     Raises:
         InputError: no such file, or none that holds points.
@@ -103,6 +106,11 @@ def by_trimesh(file: Path, called: str, what: str) -> Any:
         ) from None
     if ends_early(file):
         raise InputError(f"{called} ends too early; export it again")
+    if counts_back(file):
+        raise InputError(
+            f"{called} has faces whose corners have numbers below 1, which are misread; number "
+            "them from the first vertex on"
+        )
     try:
         # As it is: by itself, trimesh leaves out what is not finite.
         form = {"force": "mesh"} if what == "mesh" else {}

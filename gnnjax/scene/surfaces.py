@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_number
 from gnnjax.scene.cloud import MOST_METERS, RADIUS, Balls, point_cloud
 from gnnjax.scene.cloud import VOXEL as CLOUD_VOXEL
 from gnnjax.scene.point_files import by_trimesh, points_from_file
@@ -33,7 +33,8 @@ def mesh(
     of `INSIDE` (or of two voxels, or a hundredth of the mesh, if that is more) has room there.
 
     Args:
-        file: STL, OBJ, PLY or another format that trimesh reads.
+        file: STL, OBJ, PLY or another format that trimesh reads. One that was cut off is refused,
+            but for an OBJ between two lines, which is a whole one with fewer faces.
         center: where the mesh's origin is in the frame of the arm's base, m.
         quat: its orientation w x y z.
         scale: metres of the file's unit; 0.001 for millimetres.
@@ -46,6 +47,7 @@ def mesh(
             small voxels, a scale or voxel that is not positive.
     """
     called = f"mesh {str(file)!r}"
+    check_number(scale, f"scale of {called}")
     if not 0 < scale < np.inf:
         raise InputError(f"scale of {called} is {scale}; it must be positive")
     loaded = by_trimesh(Path(file), called, "mesh")
@@ -88,6 +90,7 @@ def height_field(
         )
     if not (np.abs(array) <= MOST_METERS).all():
         raise InputError(f"heights of {called} must be finite, and below {MOST_METERS:g} m")
+    check_number(depth, f"depth of {called}")
     across, along = vector_of(size, f"size of {called}", 2)
     if not (across > 0 and along > 0 and 0 < depth < np.inf):
         raise InputError(f"size {size} and depth {depth} of {called} must be positive (m)")
@@ -157,6 +160,7 @@ def _is_closed(vertices: np.ndarray, faces: np.ndarray) -> bool:
 def _covered(
     vertices: np.ndarray, faces: np.ndarray, voxel: float, filled: bool, source: str
 ) -> Balls:
+    check_number(voxel, f"voxel of {source}")
     if not 0 < voxel < np.inf:
         raise InputError(f"voxel of {source} is {voxel}; it must be positive (m)")
     extent = vertices.max(axis=0) - vertices.min(axis=0)

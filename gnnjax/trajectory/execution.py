@@ -12,7 +12,7 @@ from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.margins import largest_margin
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_number
 from gnnjax.scene.mujoco_world import obstacles
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
 from gnnjax.trajectory.control import control
@@ -118,6 +118,7 @@ def execute_trajectories(
     """`execute_trajectory` of P motions, in one scene or in P scenes `[P, M, ...]`, one each."""
     errors = errors or ModelErrors()
     check_errors(errors)
+    check_number(most_error, "most_error")
     if not most_error > 0:
         raise InputError(f"most_error is {most_error}; give a positive number (rad or m)")
     several = np.ndim(scene.mask) == 2

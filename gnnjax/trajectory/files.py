@@ -11,6 +11,7 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.files import FileKind, atomic_write, check_target, read_arrays
+from gnnjax.scene.holding import held_by
 from gnnjax.scene.scene_file import read_json
 from gnnjax.trajectory.states import Setpoints, check_setpoints, sample_trajectory
 from gnnjax.trajectory.trajectory import Trajectory
@@ -37,8 +38,9 @@ def save_trajectory(
 ) -> None:
     """Writes a motion, sampled every `dt` seconds, of the kind that the file's ending says.
 
-    Arrays and messages also tell of costs and clearances, before and after corners were rounded;
-    messages do so under a key of their own, "gnnjax", which ROS does not know.
+    Arrays and messages also tell the name of the arm and what it held, and of costs and clearances,
+    before and after corners were rounded; messages do so under a key of their own, "gnnjax", which
+    ROS does not know. A table has room for neither.
 
     Raises:
         InputError: see `check_trajectory_file` and `sample_trajectory`.
@@ -54,7 +56,8 @@ def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
     """Reads the states of a motion that `save_trajectory` wrote for this arm.
 
     Raises:
-        InputError: no such file, another ending, or what is in it is no motion of this arm.
+        InputError: no such file, another ending, or what is in it is no motion of this arm, with
+            what it held: a table does not tell that.
     """
     path = Path(path)
     called = f"trajectory file {str(path)!r}"
@@ -66,7 +69,15 @@ def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
         raise InputError(f"{called} is a folder; check the path") from None
     except InputError:
         raise
-    except (ValueError, KeyError, TypeError, IndexError, RecursionError, csv.Error) as error:
+    except (
+        AttributeError,
+        ValueError,
+        KeyError,
+        TypeError,
+        IndexError,
+        RecursionError,
+        csv.Error,
+    ) as error:
         what = f"no entry {brief(error.args[0])}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{called} holds no motion ({what}); {_AGAIN}") from None
     _check_arm(robot, read, called)
@@ -75,11 +86,17 @@ def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
 
 
 def _check_arm(robot: Robot, read: "_Read", called: str) -> None:
-    if read.robot not in (None, robot.name) or read.joint_names != list(robot.joint_names):
-        joints = brief(read.joint_names)
-        arm = f"of {brief(read.robot)}" if read.robot else f"of an arm with the joints {joints}"
-        own = robot.name if read.robot else f"{robot.name} with {list(robot.joint_names)}"
-        raise InputError(f"{called} is {arm}, not of {own}; name the arm that it was planned for")
+    remedy = "name the arm that it was planned for"
+    if read.robot not in (None, robot.name):
+        raise InputError(
+            f"{called} is of {brief(read.robot)}, not of {robot.name}; {remedy}, and what it held "
+            "(--attach)"
+        )
+    if read.joint_names != list(robot.joint_names):
+        raise InputError(
+            f"{called} is of an arm with the joints {brief(read.joint_names)}, not of {robot.name} "
+            f"with {list(robot.joint_names)}; {remedy}"
+        )
 
 
 class _Read(NamedTuple):
@@ -95,6 +112,7 @@ def _npz(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
         np.savez_compressed(
             stream,
             robot=np.array(robot.name),
+            held=np.array(held_by(robot), str),
             joint_names=np.array(robot.joint_names),
             **points._asdict(),
             **{name: np.array(value) for name, value in facts.items()},
@@ -143,7 +161,7 @@ def _json(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
             }
             for time, positions, velocities, accelerations, torques in rows
         ],
-        "gnnjax": facts,
+        "gnnjax": {"robot": robot.name, "held": held_by(robot), **facts},
     }
     file.write_text(json.dumps(message, indent=1), encoding="utf-8")
 
@@ -155,7 +173,8 @@ def _from_json(path: Path) -> _Read:
     times = np.array([time["sec"] + time["nanosec"] / _NANO for time in since], float)
     kinds = ("positions", "velocities", "accelerations", "effort")
     columns = (np.array([point[kind] for point in points], float) for kind in kinds)
-    return _Read(None, message["joint_names"], Setpoints(times, *columns))
+    named = message.get("gnnjax", {}).get("robot")  # not in messages of others
+    return _Read(named, message["joint_names"], Setpoints(times, *columns))
 
 
 class _Form(NamedTuple):

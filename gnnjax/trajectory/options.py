@@ -7,7 +7,7 @@ import numpy as np
 import tyro
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, check_option_names
+from gnnjax.errors import InputError, check_number, check_option_names
 from gnnjax.trajectory.limits import Amounts, Limits, limits_of
 
 # What Python takes in any form is a list of numbers on a command line.
@@ -54,6 +54,7 @@ def check_motion_options(robot: Robot, options: MotionOptions) -> Limits:
     Raises:
         InputError: limits that are missing or not positive, or a blend that is no length.
     """
+    check_number(options.blend, "blend")
     if not 0 <= options.blend < np.inf:
         raise InputError(f"blend is {options.blend}; give a length in configuration units, or 0")
     return limits_of(

@@ -16,7 +16,7 @@ from mujoco.rollout import Rollout
 from gnnjax.arm.mjcf import without_warnings
 from gnnjax.arm.robot import Robot
 from gnnjax.devices import num_cores
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_number
 from gnnjax.scene.mujoco_world import obstacles, place_boxes, world_spec
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.control import Law
@@ -66,6 +66,7 @@ def check_errors(errors: ModelErrors) -> None:
     }
     for name, value in errors._asdict().items():
         low, high, unit = allowed[name]
+        check_number(value, f"{name} error")
         if not (low <= value <= high and np.isfinite(value)):
             raise InputError(f"{name} error is {value}; give {low:g} to {high:g} ({unit})")
 

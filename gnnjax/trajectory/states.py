@@ -6,7 +6,8 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import inverse_dynamics_by_mujoco
-from gnnjax.errors import InputError
+from gnnjax.collision.certify import beyond_limits
+from gnnjax.errors import InputError, check_number
 from gnnjax.trajectory.curve import Curve, places
 from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import Trajectory
@@ -116,6 +117,7 @@ def followed(
 
 def check_step(dt: float) -> None:
     """Refuses a time between states that is none, or so short that they fill the memory."""
+    check_number(dt, "dt")
     if not 1e-5 <= dt < np.inf:
         raise InputError(f"dt is {dt}; give a step in seconds, such as 0.01")
 
@@ -140,12 +142,5 @@ def check_setpoints(robot: Robot, points: Setpoints, called: str, remedy: str) -
         raise InputError(f"{called} holds what is no finite number; {remedy}")
     if points.times[0] != 0 or not (np.diff(points.times) > 0).all():
         raise InputError(f"times in {called} do not begin at 0 and ascend; {remedy}")
-    low, high = robot.joint_lower - _ROUNDED, robot.joint_upper + _ROUNDED
-    beyond = ~((points.positions >= low) & (points.positions <= high))
-    if beyond.any():
-        row, joint = (int(x[0]) for x in np.nonzero(beyond))
-        raise InputError(
-            f"{called} has joint {robot.joint_names[joint]} at {points.positions[row, joint]:.4g}, "
-            f"beyond its limits {robot.joint_lower[joint]:.4g} to {robot.joint_upper[joint]:.4g}; "
-            "name the arm that it was planned for"
-        )
+    if beyond := beyond_limits(robot, points.positions, _ROUNDED):
+        raise InputError(f"{called} {beyond}; name the arm that it was planned for")

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import torques_at_rest
 from gnnjax.clock import Clock
+from gnnjax.collision.certify import beyond_limits
 from gnnjax.devices import cache_compilations
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, check_number
 from gnnjax.scene.scene import Scene, inflated
 from gnnjax.trajectory.batches import over_curves
 from gnnjax.trajectory.clearance import clearances_of
@@ -107,6 +108,7 @@ def find_motions(
 ) -> list[Trajectory]:
     """`time_paths` with its options in one."""
     limits = check_motion_options(robot, options)
+    check_number(margin, "margin")
     if not 0 <= margin < np.inf:
         raise InputError(f"margin is {margin}; give a clearance in metres, or 0")
     if not paths:
@@ -233,7 +235,8 @@ def _trajectory(robot: Robot, limits: Limits, move: _Move) -> Trajectory:
     smooth, curve, timing, profile = move
     reason, duration = "", float(timing.times[-1])
     if not smooth.certified:
-        reason = "the path is not certified free of collisions; plan another one"
+        why = beyond_limits(robot, smooth.path) or "is not certified free of collisions"
+        reason = f"the path {why}; plan another one"
     elif len(smooth.path) == 1 and limits.torque is not None and not _holds(robot, limits, curve):
         reason = _reason(robot, limits, curve, 0)
     elif timing.failed_at >= 0:

@@ -14,6 +14,7 @@ from gnnjax.trajectory.options import MotionOptions
 from gnnjax.viewer.session import ENDS, Session
 
 SCENE_FILE = "scene.json"
+MOTION_FILE = "motion.npz"
 
 
 def scene_text(scene: Scene) -> str:
@@ -29,7 +30,8 @@ def scene_text(scene: Scene) -> str:
 
 
 def query_text(session: Session, options: PlannerOptions | MotionOptions, **others: object) -> str:
-    """The arguments of `python -m gnnjax.plan` that plan the query in the saved scene.
+    """The arguments of `python -m gnnjax.plan` that plan the query in the saved scene, and write
+    its motion where options of motions are named.
 
     Args:
         session: whose query it is.
@@ -43,6 +45,8 @@ def query_text(session: Session, options: PlannerOptions | MotionOptions, **othe
             # Clearance the command always tells.
             if value != field.default and field.name != "clearance":
                 named[field.name] = value
+                if kind is MotionOptions:  # which the command takes with a motion alone
+                    named["trajectory"] = MOTION_FILE
     words = ["--scene", SCENE_FILE]
     for end in ENDS:
         words += [f"--{end}", *(_number(x) for x in session.end(end))]
