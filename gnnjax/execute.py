@@ -12,6 +12,7 @@ from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import check_apart
+from gnnjax.query_options import read_request
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import load_arm
 from gnnjax.trajectory.execution import (
@@ -34,6 +35,9 @@ class ExecuteConfig:
     MuJoCo model, less the robot in it)."""
     trajectory: Path
     """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json)."""
+    request: Path | None = None
+    """MoveIt's motion plan request (.yaml) that was planned: the arm holds what it, or the scene,
+    has attached."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
@@ -66,11 +70,14 @@ def main(config: ExecuteConfig) -> int:
     was touched, or the arm does not arrive."""
     check_apart(
         (config.figure, config.video),
-        (config.scene, config.trajectory, config.attach, config.robot),
+        (config.scene, config.trajectory, config.request, config.attach, config.robot),
     )
     robot = load_arm(config.robot, config.attach)
+    if config.request is None:
+        scene = read_scene(config.scene, robot)
+    else:
+        robot, (_, _, scene) = read_request(config.scene, config.request, robot)
     points = load_trajectory(robot, config.trajectory)
-    scene = read_scene(config.scene, robot)
     draw = None
     if config.figure is not None:
         with needs_extra("--figure", "viz"):

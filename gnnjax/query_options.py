@@ -11,6 +11,7 @@ from gnnjax.arm.torques import Amounts
 from gnnjax.errors import InputError
 from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
 from gnnjax.problems.moveit import query_from_moveit
+from gnnjax.problems.problem import Problem
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import load_arm
 from gnnjax.scene.scene import Scene, make_scene
@@ -93,11 +94,16 @@ def read_query(
         return robot, start, {"goal_pose": pose}, scene
     if given is not None or _ends(options):
         raise InputError("--request has a start and a goal; leave --start and --goal out")
-    if options.scene is None or options.scene.suffix.lower() not in (".yaml", ".yml"):
-        named = "missing" if options.scene is None else repr(str(options.scene))
-        raise InputError(f"--request needs a planning scene of MoveIt (.yaml); --scene is {named}")
-    robot, (start, goal, scene) = query_from_moveit(options.scene, options.request, robot)
+    robot, (start, goal, scene) = read_request(options.scene, options.request, robot)
     return robot, np.asarray(start), {"goal": goal}, scene
+
+
+def read_request(scene: Path | None, request: Path, robot: Robot) -> tuple[Robot, Problem]:
+    """`query_from_moveit` of a scene that a command was given."""
+    if scene is None or scene.suffix.lower() not in (".yaml", ".yml"):
+        named = "missing" if scene is None else repr(str(scene))
+        raise InputError(f"--request needs a planning scene of MoveIt (.yaml); --scene is {named}")
+    return query_from_moveit(scene, request, robot)
 
 
 def of_pose(options: Any) -> tuple[Any, Any, Any]:

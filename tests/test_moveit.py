@@ -1,6 +1,7 @@
 """MoveIt's planning scenes and requests: what stands where, and what is refused."""
 
 import copy
+import dataclasses
 import logging
 
 import jax
@@ -11,10 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from gnnjax import load_robot, problem_from_moveit, query_from_moveit, scene_from_moveit
 from gnnjax.errors import InputError
+from gnnjax.execute import ExecuteConfig, main
 from gnnjax.problems import moveit
 from gnnjax.scene.messages import read_message
 from gnnjax.scene.scene import Scene
 from gnnjax.scene.shapes import KINDS, cylinder, kind_of
+from gnnjax.trajectory.files import save_trajectory
+from gnnjax.trajectory.trajectory import time_path
 
 TURN = [0.0, 0.0, 0.6, 0.8]  # x y z w
 
@@ -530,6 +534,30 @@ def test_what_is_attached_is_held(tmp_path, tiny_path, message, request_message,
     if where == "scene":
         with pytest.raises(InputError, match="attached to the robot; query_from_moveit"):
             read(tmp_path, message)
+
+
+def test_a_motion_of_what_a_request_has_attached_is_carried_out(
+    tmp_path, tiny_path, request_message
+):
+    robot, file = load_robot(tiny_path), tmp_path / "motion.json"
+    request_message["start_state"]["attached_collision_objects"] = [attached()]
+    found = query_of(tmp_path, robot, request_message, yaml.safe_load(SCENE))
+    path = [found.problem.start, found.problem.start + np.float32(0.05)]
+    limits = {"velocity": 1.5, "acceleration": 5.0}
+    motion = time_path(found.robot, found.problem.scene, path, **limits)
+    save_trajectory(found.robot, motion, file)
+    config = ExecuteConfig(
+        robot=str(tiny_path),
+        scene=tmp_path / "scene.yaml",
+        request=tmp_path / "request.yaml",
+        trajectory=file,
+        torque=(40.0, 40.0, 20.0),
+    )
+    assert main(config) == 0
+    with pytest.raises(InputError, match=r"not of tiny; name .* what it held \(--attach, or --req"):
+        main(dataclasses.replace(config, request=None))
+    with pytest.raises(InputError, match=r"--request needs a planning scene of MoveIt"):
+        main(dataclasses.replace(config, scene=tmp_path / "scene.json"))
 
 
 def test_an_arm_to_which_nothing_is_attached_is_as_it_was(tmp_path, tiny_path):

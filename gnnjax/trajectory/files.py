@@ -90,7 +90,7 @@ def _check_arm(robot: Robot, read: "_Read", called: str) -> None:
     if read.robot not in (None, robot.name):
         raise InputError(
             f"{called} is of {brief(read.robot)}, not of {robot.name}; {remedy}, and what it held "
-            "(--attach)"
+            "(--attach, or --request)"
         )
     if read.joint_names != list(robot.joint_names):
         raise InputError(
