@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from gnnjax.arm.mjcf import collision_geoms, self_pairs
 from gnnjax.arm.parts import Part
 from gnnjax.errors import InputError
 
@@ -159,3 +160,24 @@ def exclude_bodies(
         first, second = (by_id[number].name if number else "world" for number in two)
         spec.add_exclude(bodyname1=first, bodyname2=second)
     return bool(gone)
+
+
+def pair_explicitly(spec: mujoco.MjSpec, model: mujoco.MjModel, wanted: np.ndarray) -> bool:
+    """Names to MuJoCo those of the wanted pairs that its filters leave out: parts of neighbours,
+    and those without bits. Whether there are any.
+
+    Args:
+        spec: changed in place; it has to be compiled again.
+        model: compiled from it as it is.
+        wanted: `[Q 2]` geoms.
+    """
+    geoms = collision_geoms(model)
+    tested = {tuple(two) for two in geoms[self_pairs(model, geoms)].tolist()}
+    missing = [two for two in np.sort(wanted, axis=1).tolist() if tuple(two) not in tested]
+    by_id = {geom.id: geom for geom in spec.geoms}
+    for two in missing:
+        for geom in (by_id[g] for g in two):
+            geom.name = geom.name or f"geom_{geom.id}"
+        first, second = (by_id[g].name for g in two)
+        spec.add_pair(geomname1=first, geomname2=second)
+    return bool(missing)

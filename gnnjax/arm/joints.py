@@ -196,7 +196,7 @@ def hold_joints(spec: mujoco.MjSpec, model: mujoco.MjModel, held: Mapping[int, f
         moved, turned = _motion(model, j, anchors[j], axes[j], held[j])
         body = bodies[int(model.jnt_bodyid[j])]
         quat = spec.resolve_orientation(
-            degree=spec.compiler.degree, sequence=spec.compiler.eulerseq, orientation=body.alt
+            degree=body.compiler.degree, sequence=body.compiler.eulerseq, orientation=body.alt
         )
         if body.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
             quat = body.quat
