@@ -145,6 +145,7 @@ def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(t
         ({"hold": {"left": 0.05}}, "'left' is to be held at 0.05; it must lie between 0 and 0.04"),
         ({"hold": {"left": float("nan")}}, "is to be held at nan"),
         ({"joints": ["left", "right"]}, "'right' of .* follows 'left'; plan for one of them"),
+        ({"joints": ["turn", "left"]}, "'left' of .* is coupled to 'right', which planning would"),
         ({"hold": {"turn": 0.0, "bend": 0.0, "slip": 0.0}}, "all joints of .* are held or coupled"),
         ({"joints": "turn"}, "joints is 'turn'; give a list of names"),
         ({"hold": {"left": "0.01"}}, "hold is .*'0.01'.*; give numbers by names"),
