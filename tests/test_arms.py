@@ -335,6 +335,12 @@ def test_links_between_which_a_joint_is_held_are_kept_apart_as_before(tmp_path):
     assert paired(robot) == {
         frozenset(x) for x in (("foot", "cuff"), ("foot", "tip"), ("beam", "tip"))
     }
+    # Where these always touch, they may, and MuJoCo's engine judges likewise.
+    robot = load_robot(bricks(tmp_path, low=0.0), hold={"number 2": 0.0})
+    assert robot.allowed_pairs == (("beam", "tip"),)
+    data = mujoco.MjData(robot.mj_model)
+    mujoco.mj_forward(robot.mj_model, data)
+    assert data.ncon == 0
 
 
 def test_links_that_touch_at_the_home_of_the_file_may(tmp_path):

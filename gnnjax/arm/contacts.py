@@ -159,7 +159,13 @@ def exclude_bodies(
                 by_id[number].name = f"body_{number}"
         first, second = (by_id[number].name if number else "world" for number in two)
         spec.add_exclude(bodyname1=first, bodyname2=second)
-    return bool(gone)
+    # What is paired explicitly MuJoCo tests whatever it excludes.
+    dropped = {*map(tuple, pairs.tolist())} - {*map(tuple, kept.tolist())}
+    names = {frozenset(parts[p].name for p in two) for two in dropped}
+    unpaired = [x for x in spec.pairs if frozenset((x.geomname1, x.geomname2)) in names]
+    for pair in unpaired:
+        spec.delete(pair)
+    return bool(gone or unpaired)
 
 
 def pair_explicitly(spec: mujoco.MjSpec, model: mujoco.MjModel, wanted: np.ndarray) -> bool:
