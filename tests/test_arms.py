@@ -8,6 +8,7 @@ import pytest
 
 from gnnjax.arm.robot import assets_dir, load_robot
 from gnnjax.errors import InputError
+from gnnjax.scene.own_points import distances_to_hull
 
 GRIPPER = """
 <mujoco>
@@ -60,12 +61,12 @@ def written(folder, coupling=EQUALITY, change=lambda text: text):
     return path
 
 
-def same_poses(robot, held):
+def same_poses(robot, held, prefix=""):
     """Whether geoms are where they are in the whole arm, at random configurations."""
     whole = mujoco.MjModel.from_xml_path(str(robot.path))
     there, here = mujoco.MjData(whole), mujoco.MjData(robot.mj_model)
     rng = np.random.default_rng(0)
-    names = ["palm", "left", "right"]
+    names = [f"{prefix}{name}" for name in ("palm", "left", "right")]
     for _ in range(20):
         q = rng.uniform(robot.joint_lower, robot.joint_upper)
         for name, value in [*held.items(), *zip(robot.joint_names, q, strict=True)]:
@@ -104,6 +105,20 @@ def test_what_is_held_takes_what_follows_it_along(tmp_path):
     assert same_poses(robot, robot.held)
 
 
+def test_what_is_attached_from_a_file_with_other_units_is_held_where_it_stands(tmp_path):
+    written(tmp_path, change=lambda text: text.replace('"radian"', '"radian" eulerseq="zyx"'))
+    path = tmp_path / "whole.xml"
+    path.write_text(
+        '<mujoco><compiler angle="degree"/><asset><model name="other" file="gripper.xml"/></asset>'
+        '<worldbody><body name="stand">'
+        '<attach model="other" body="base" prefix="its_"/></body></worldbody></mujoco>'
+    )
+    held = {"its_bend": -1.0, "its_slip": 0.05, "its_left": 0.01, "its_right": 0.02}
+    robot = load_robot(path, hold=held)
+    assert same_poses(robot, robot.held, "its_")
+    np.testing.assert_allclose([robot.joint_lower, robot.joint_upper], [[-np.pi], [np.pi]])
+
+
 def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(tmp_path):
     path = written(tmp_path)
     first = load_robot(path, joints=["turn", "bend"], hold={"slip": 0.0}, allow=[("arm", "left")])
@@ -130,6 +145,7 @@ def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(t
         ({"hold": {"left": 0.05}}, "'left' is to be held at 0.05; it must lie between 0 and 0.04"),
         ({"hold": {"left": float("nan")}}, "is to be held at nan"),
         ({"joints": ["left", "right"]}, "'right' of .* follows 'left'; plan for one of them"),
+        ({"joints": ["turn", "left"]}, "'left' of .* is coupled to 'right', which planning would"),
         ({"hold": {"turn": 0.0, "bend": 0.0, "slip": 0.0}}, "all joints of .* are held or coupled"),
         ({"joints": "turn"}, "joints is 'turn'; give a list of names"),
         ({"hold": {"left": "0.01"}}, "hold is .*'0.01'.*; give numbers by names"),
@@ -231,6 +247,30 @@ def test_parts_enclose_their_geoms_and_stand_out_by_less_than_half_a_millimetre(
     assert (found < truth + 5e-4).all()
 
 
+@pytest.mark.parametrize("num", [8, 40])
+def test_parts_of_meshes_enclose_what_mujoco_collides(tmp_path, num):
+    # With fewer vertices in its hull than the mesh has; MuJoCo leaves them out of large ones alone.
+    corners = np.random.default_rng(num).normal(size=(num, 3)) / 10
+    path = tmp_path / f"mesh_{num}.xml"
+    path.write_text(
+        f"<mujoco><asset><mesh name='m' maxhullvert='5' vertex='{' '.join(map(str, corners.flat))}'"
+        "/></asset><worldbody><body><joint range='-9 9' limited='true'/>"
+        "<geom type='mesh' mesh='m' pos='0.1 0 0'/></body>"
+        "<body name='ball' mocap='true'><geom size='0.01' contype='0' conaffinity='0'/></body>"
+        "</worldbody></mujoco>"
+    )
+    (part,) = (robot := load_robot(path)).parts
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    for place in np.random.default_rng(0).normal(size=(50, 3)):
+        data.mocap_pos[0] = place
+        mujoco.mj_kinematics(model, data)
+        line = np.zeros(6)
+        away = mujoco.mj_geomDistance(model, data, 0, 1, 9.0, line)
+        nearest = distances_to_hull(part.vertices, line[None, :3])[0]
+        assert away > 0
+        assert nearest < 1e-6
+
+
 BRICKS = """
 <mujoco>
   <compiler angle="radian" autolimits="true"/>
@@ -286,6 +326,21 @@ def test_the_first_link_need_not_keep_clear_of_the_base_that_it_never_reaches(tm
         path.read_text().replace('axis="0 0 1" range="-3 3"', 'axis="1 0 0" range="-3 3"', 1)
     )
     assert frozenset(("foot", "beam")) in paired(load_robot(path.rename(tmp_path / "tilts.xml")))
+
+
+def test_links_between_which_a_joint_is_held_are_kept_apart_as_before(tmp_path):
+    path = bricks(tmp_path)
+    assert frozenset(("beam", "tip")) in paired(load_robot(path))
+    robot = load_robot(path, hold={"number 2": 0.0})  # by which the tip is one with the cuff
+    assert paired(robot) == {
+        frozenset(x) for x in (("foot", "cuff"), ("foot", "tip"), ("beam", "tip"))
+    }
+    # Where these always touch, they may, and MuJoCo's engine judges likewise.
+    robot = load_robot(bricks(tmp_path, low=0.0), hold={"number 2": 0.0})
+    assert robot.allowed_pairs == (("beam", "tip"),)
+    data = mujoco.MjData(robot.mj_model)
+    mujoco.mj_forward(robot.mj_model, data)
+    assert data.ncon == 0
 
 
 def test_links_that_touch_at_the_home_of_the_file_may(tmp_path):

@@ -200,6 +200,10 @@ def test_a_first_link_that_hangs_in_the_world_is_where_its_joint_is_at_zero(tmp_
         scene = scene_from_mjcf(written(tmp_path, alone), robot=robot, keyframe=keyframe)
         assert kinds_of(scene) == ["sphere"]  # not the arm's own sphere in the world
         np.testing.assert_allclose(scene.centers[0], [1, 2, 3], atol=1e-6)
+    # Held, it is the base, and stands where it is held.
+    scene = scene_from_mjcf(written(tmp_path, alone), robot=load_robot(tiny_path, hold={"a": 0.7}))
+    cos, sin = np.cos(0.7), np.sin(0.7)
+    np.testing.assert_allclose(scene.centers[0], [cos + 2 * sin, 2 * cos - sin, 3], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["kuka_iiwa14", "franka_panda"])

@@ -184,6 +184,12 @@ def test_velocity_limits_are_there_for_all_joints_or_for_none(tmp_path, word):
     assert load_robot(weak).torque_limit is None
 
 
+def test_a_limit_that_is_left_out_beside_another_is_zero(tmp_path):
+    text = ARM.replace('lower="-2" upper="2.5"', 'lower="-2"')
+    robot = load_robot(package(tmp_path, text=text))
+    assert (robot.joint_lower[0], robot.joint_upper[0]) == (-2, 0)
+
+
 def test_prefixes_that_nothing_explains_are_no_obstacle(tmp_path):
     words = 'velocity="2" drake:acceleration="2.5"'
     text = ARM.replace('velocity="2"', words).replace("</robot>", "<drake:joint/></robot>")

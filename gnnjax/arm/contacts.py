@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from gnnjax.arm.mjcf import collision_geoms, self_pairs
 from gnnjax.arm.parts import Part
 from gnnjax.errors import InputError
 
@@ -158,4 +159,31 @@ def exclude_bodies(
                 by_id[number].name = f"body_{number}"
         first, second = (by_id[number].name if number else "world" for number in two)
         spec.add_exclude(bodyname1=first, bodyname2=second)
-    return bool(gone)
+    # What is paired explicitly MuJoCo tests whatever it excludes.
+    dropped = {*map(tuple, pairs.tolist())} - {*map(tuple, kept.tolist())}
+    names = {frozenset(parts[p].name for p in two) for two in dropped}
+    unpaired = [x for x in spec.pairs if frozenset((x.geomname1, x.geomname2)) in names]
+    for pair in unpaired:
+        spec.delete(pair)
+    return bool(gone or unpaired)
+
+
+def pair_explicitly(spec: mujoco.MjSpec, model: mujoco.MjModel, wanted: np.ndarray) -> bool:
+    """Names to MuJoCo those of the wanted pairs that its filters leave out: parts of neighbours,
+    and those without bits. Whether there are any.
+
+    Args:
+        spec: changed in place; it has to be compiled again.
+        model: compiled from it as it is.
+        wanted: `[Q 2]` geoms.
+    """
+    geoms = collision_geoms(model)
+    tested = {tuple(two) for two in geoms[self_pairs(model, geoms)].tolist()}
+    missing = [two for two in np.sort(wanted, axis=1).tolist() if tuple(two) not in tested]
+    by_id = {geom.id: geom for geom in spec.geoms}
+    for two in missing:
+        for geom in (by_id[g] for g in two):
+            geom.name = geom.name or f"geom_{geom.id}"
+        first, second = (by_id[g].name for g in two)
+        spec.add_pair(geomname1=first, geomname2=second)
+    return bool(missing)

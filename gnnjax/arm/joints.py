@@ -53,7 +53,8 @@ def choose_joints(
             keyframe "home" has them, or at their reference, or where their coupling puts them.
 
     Raises:
-        InputError: an unknown or doubled name, another order, a value beyond the limits.
+        InputError: an unknown or doubled name, another order, a value beyond the limits, a joint
+            without one that it is coupled to.
     """
     names = [joint_name(model, j) for j in range(model.njnt)]
     if unknown := [name for name in (*(joints or ()), *hold) if name not in names]:
@@ -79,6 +80,15 @@ def choose_joints(
                 f"joint {names[j]!r} of {str(path)!r} follows {names[drivers[j][0]]!r}; plan for "
                 "one of them at most"
             )
+    for j, (driver, _) in drivers.items():
+        for one, other in ((j, driver), (driver, j)):
+            if one in chosen and other >= 0 and names[other] not in hold:
+                # It moves along, and what it carries would be planned for where it is not.
+                raise InputError(
+                    f"joint {names[one]!r} of {str(path)!r} is coupled to {names[other]!r}, which "
+                    "planning would leave where it is; if it stays there, "
+                    f"hold={{{names[other]!r}: ...}}, else leave {names[one]!r} out of joints"
+                )
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     rest = model.key_qpos[key] if key >= 0 else model.qpos0
     held: dict[int, float] = {}
@@ -196,7 +206,7 @@ def hold_joints(spec: mujoco.MjSpec, model: mujoco.MjModel, held: Mapping[int, f
         moved, turned = _motion(model, j, anchors[j], axes[j], held[j])
         body = bodies[int(model.jnt_bodyid[j])]
         quat = spec.resolve_orientation(
-            degree=spec.compiler.degree, sequence=spec.compiler.eulerseq, orientation=body.alt
+            degree=body.compiler.degree, sequence=body.compiler.eulerseq, orientation=body.alt
         )
         if body.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT:
             quat = body.quat

@@ -22,6 +22,7 @@ _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 # m; by how much a polytope around a cylinder or an ellipsoid may stand out of it, along the radius.
 _EXCESS = 5e-4
+_SMALL_MESH = 16  # vertices; no fewer than those below which MuJoCo looks at all, 9
 _MOST_DIVISIONS = 4  # with this excess for ellipsoids of up to 0.4 m half length
 
 
@@ -126,9 +127,9 @@ def _mesh(model: mujoco.MjModel, g: int) -> tuple[np.ndarray, float]:
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     vertices = model.mesh_vert[first : first + count].astype(float)
     graph = int(model.mesh_graphadr[mesh])
-    if (
-        graph >= 0
-    ):  # of its hull: the number of vertices and of faces, and after one row the vertices
+    # Of its hull: the number of vertices and of faces, and after one row the vertices. Where the
+    # file wants fewer of these (`maxhullvert`), MuJoCo still collides all that a small mesh has.
+    if graph >= 0 and len(vertices) > _SMALL_MESH:
         count = int(model.mesh_graph[graph])
         vertices = vertices[model.mesh_graph[graph + 2 + count : graph + 2 + 2 * count]]
     return vertices, 0.0

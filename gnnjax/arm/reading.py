@@ -8,12 +8,14 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from gnnjax.arm.contacts import pair_explicitly
 from gnnjax.arm.joints import choose_joints, hold_joints, joint_name
 from gnnjax.arm.mjcf import (
     check_numbers,
     collision_geoms,
     links_never_meet,
     move_to_base,
+    self_pairs,
     soft_bodies,
 )
 from gnnjax.arm.parts import geom_name
@@ -86,7 +88,7 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     ]
     for j, joint in ((joint.id, joint) for joint in spec.joints):
         if j in endless:
-            half = 180.0 if spec.compiler.degree else math.pi
+            half = 180.0 if joint.compiler.degree else math.pi
             joint.range, joint.limited = [-half, half], mujoco.mjtLimited.mjLIMITED_TRUE
             if home is not None:
                 index = choice.planned.index(j)
@@ -112,6 +114,7 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
         for g in collision_geoms(model).tolist()
         if int(model.geom_type[g]) in _GROUND and not model.body_weldid[model.geom_bodyid[g]]
     ]
+    apart = _kept_apart(spec, model, ground) if choice.held else []
     if ground:
         _remove_geoms(spec, model, set(ground))
         names = ", ".join(
@@ -125,6 +128,11 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
         notes.append(f"joints that are not planned for are held: {', '.join(open_ones)}")
     if endless or ground or choice.held:
         model = spec.compile()
+    # Held joints make neighbours of links that are none, and MuJoCo would let these pass.
+    weld = model.body_weldid[model.geom_bodyid]
+    moving = [(a.id, b.id) for a, b in apart if weld[a.id] != weld[b.id]]
+    if moving and pair_explicitly(spec, model, np.array(moving)):
+        model = spec.compile()
     if links_never_meet(model):
         for geom in spec.geoms:
             if model.geom_contype[geom.id] or model.geom_conaffinity[geom.id]:
@@ -132,6 +140,15 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
         notes.append("contype and conaffinity let no two links meet; here all but neighbours do")
     move_to_base(spec, model)
     return Reading(spec, held, home, *limits, tuple(notes))
+
+
+def _kept_apart(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, ground: Sequence[int]
+) -> list[tuple[mujoco.MjsGeom, mujoco.MjsGeom]]:
+    """The pairs of geoms that MuJoCo tests, but for those of the ground."""
+    geoms, by_id = collision_geoms(model), {geom.id: geom for geom in spec.geoms}
+    pairs = geoms[self_pairs(model, geoms)].tolist()
+    return [(by_id[a], by_id[b]) for a, b in pairs if not {a, b} & {*ground}]
 
 
 def _remove_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, geoms: set[int]) -> None:

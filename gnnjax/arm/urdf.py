@@ -87,6 +87,9 @@ def read_urdf(path: Path) -> Urdf:
                 names[file, scale] = f"mesh_{len(names)}{ending}"
                 assets[names[file, scale]] = data
             mesh.set("filename", names[file, scale])
+    for limit in root.iterfind("joint/limit"):
+        if {"lower", "upper"} & limit.attrib.keys():  # of one alone MuJoCo makes no limits
+            limit.attrib = {"lower": "0", "upper": "0", **limit.attrib}
     limits = {kind: _limits(root, names) for kind, names in _LIMITS.items()}
     text = ET.tostring(root, encoding="unicode")
     return Urdf(mujoco.MjSpec.from_string(text, assets=assets), limits, _no_room(root), notes)

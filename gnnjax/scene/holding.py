@@ -11,11 +11,10 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from gnnjax.arm.bodies import read_body
-from gnnjax.arm.contacts import always_touching, exclude_bodies
+from gnnjax.arm.contacts import always_touching, exclude_bodies, pair_explicitly
 from gnnjax.arm.covers import pairs_of_rows
 from gnnjax.arm.mjcf import self_pairs, without_warnings
 from gnnjax.arm.parts import part_of_geom
@@ -110,7 +109,7 @@ def _attached(
         ],
         np.int64,
     ).reshape(-1, 2)
-    if _pair_explicitly(spec, model, geoms, wanted):
+    if pair_explicitly(spec, model, geoms[wanted]):
         with without_warnings():
             model = spec.compile()
     called = f"{robot.name} with what {body} holds"
@@ -225,19 +224,3 @@ def _check_allowed(robot: Robot, allow: Sequence[str]) -> None:
         raise InputError(f"allow is {allow!r}; give a list of names of bodies")
     if unknown := [name for name in allow if name not in names]:
         raise InputError(f"no body {unknown[0]!r} in {robot.name} to allow; there are {names}")
-
-
-def _pair_explicitly(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, geoms: np.ndarray, wanted: np.ndarray
-) -> bool:
-    """Names to MuJoCo those of the wanted pairs that its filters leave out: parts of the link just
-    before the one that holds, and those without bits. Whether there are any."""
-    tested = {tuple(two) for two in self_pairs(model, geoms).tolist()}
-    missing = [two for two in wanted.tolist() if tuple(two) not in tested]
-    by_id = {geom.id: geom for geom in spec.geoms}
-    for two in missing:
-        for geom in (by_id[int(geoms[x])] for x in two):
-            geom.name = geom.name or f"geom_{geom.id}"
-        first, second = (by_id[int(geoms[x])].name for x in two)
-        spec.add_pair(geomname1=first, geomname2=second)
-    return bool(missing)

@@ -1,5 +1,6 @@
 """The arm in a MuJoCo model of a scene: which bodies and geoms there are its own, and its base."""
 
+import copy
 from collections.abc import Hashable
 
 import mujoco
@@ -13,6 +14,7 @@ from gnnjax.scene.pose import Pose, compose, inverse
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 # What is left out of arms, whichever of their bodies has it.
 _GROUND = (PLANE, int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _SAME = 1e-6  # m; where a geom of two models is the same
@@ -120,18 +122,28 @@ def base_of(
         if own.body_parentid[b]:
             continue
         if model.body_jntnum[there] and int(model.jnt_type[model.body_jntadr[there]]) != FREE:
-            # The first link of an arm whose base is the world: as its joints are at zero.
-            parent = int(model.body_parentid[there])
-            outer = Pose(data.xpos[parent].copy(), data.xquat[parent].copy())
-            found = compose(outer, Pose(model.body_pos[there], model.body_quat[there]))
-        else:
-            found = Pose(data.xpos[there].copy(), data.xquat[there].copy())
+            # A first link that its joints move, or that the robot holds in a place of its own.
+            data = copy.copy(data)
+            _settle(robot, model, data, there)
+            mujoco.mj_kinematics(model, data)
+        found = Pose(data.xpos[there].copy(), data.xquat[there].copy())
         return compose(found, inverse(Pose(own.body_pos[b], own.body_quat[b])))
     raise InputError(
         f"{called} holds none of the first bodies of {robot.name} "
         f"({[own.body(b).name for b in range(1, min(own.nbody, 4))]}) with its links in their "
         "places; leave robot out where the robot is not in the file, and the world is its base"
     )
+
+
+def _settle(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData, body: int) -> None:
+    """Puts the joints of a body, in place, where the robot holds them, and others at zero."""
+    first = int(model.body_jntadr[body])
+    for j in range(first, first + int(model.body_jntnum[body])):
+        adr, name = int(model.jnt_qposadr[j]), model.joint(j).name
+        size = 4 if int(model.jnt_type[j]) == _BALL else 1
+        data.qpos[adr : adr + size] = model.qpos0[adr : adr + size]
+        if size == 1 and name in robot.held:
+            data.qpos[adr] = robot.held[name]
 
 
 def fixed_geoms(model: mujoco.MjModel) -> list[tuple[int, np.ndarray, Pose]]:
