@@ -129,6 +129,30 @@ def grid_size(size: int) -> int:
     return 24 * (size + 2)
 
 
+def cut(curve: Curve, first: int, last: int) -> Curve:
+    """A curve between two grid points, with `s` from 0, of the least size that has room for it; its
+    grid goes on with intervals of no length."""
+    inside = (curve.entries >= first) & (curve.exits <= last) & (curve.blends > 0)
+    number, count = int(inside.sum()), last - first
+    size = 2
+    while size < number or grid_size(size) < count:
+        size *= 2
+    total, begin = grid_size(size), places(curve, np.array([float(first)]))
+    more, left = (0, size - number), total - count
+    grid = curve.grid[first : last + 1] - curve.grid[first]
+    return Curve(
+        begin.q[0],
+        begin.slope[0],
+        np.pad(curve.turns[inside], (more, (0, 0))),
+        np.pad(curve.corners[inside] - curve.grid[first], more, constant_values=grid[-1]),
+        np.pad(curve.blends[inside], more),
+        np.pad(curve.entries[inside] - first, more, constant_values=total),
+        np.pad(curve.exits[inside] - first, more, constant_values=total),
+        np.pad(grid, (0, left), mode="edge"),
+        np.pad(curve.stops[first : last + 1], (0, left)),
+    )
+
+
 def places(curve: Curve, at: Float[Array | np.ndarray, " P"]) -> Places:
     """Places of one curve at grid indices, which may lie between two; stops turn at once, behind
     the middle of their interval. NumPy's for NumPy's."""
