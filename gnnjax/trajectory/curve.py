@@ -131,25 +131,30 @@ def grid_size(size: int) -> int:
 
 def cut(curve: Curve, first: int, last: int) -> Curve:
     """A curve between two grid points, with `s` from 0, of the least size that has room for it; its
-    grid goes on with intervals of no length."""
+    grid ends with intervals of no length."""
     inside = (curve.entries >= first) & (curve.exits <= last) & (curve.blends > 0)
-    number, count = int(inside.sum()), last - first
-    size = 2
-    while size < number or grid_size(size) < count:
+    own, size = np.flatnonzero(inside), 2
+    while size < len(own) or grid_size(size) < last - first:
         size *= 2
     total, begin = grid_size(size), places(curve, np.array([float(first)]))
-    more, left = (0, size - number), total - count
-    grid = curve.grid[first : last + 1] - curve.grid[first]
+    points = np.minimum(first + np.arange(total + 1), last)
+    grid = curve.grid[points] - curve.grid[first]
+
+    def padded(values: np.ndarray, padding: float) -> np.ndarray:
+        found = np.full((size, *values.shape[1:]), padding, values.dtype)
+        found[: len(own)] = values
+        return found
+
     return Curve(
         begin.q[0],
         begin.slope[0],
-        np.pad(curve.turns[inside], (more, (0, 0))),
-        np.pad(curve.corners[inside] - curve.grid[first], more, constant_values=grid[-1]),
-        np.pad(curve.blends[inside], more),
-        np.pad(curve.entries[inside] - first, more, constant_values=total),
-        np.pad(curve.exits[inside] - first, more, constant_values=total),
-        np.pad(grid, (0, left), mode="edge"),
-        np.pad(curve.stops[first : last + 1], (0, left)),
+        padded(curve.turns[own], 0.0),
+        padded(curve.corners[own] - curve.grid[first], grid[-1]),
+        padded(curve.blends[own], 0.0),
+        padded(curve.entries[own] - first, total),
+        padded(curve.exits[own] - first, total),
+        grid,
+        curve.stops[points],
     )
 
 

@@ -133,14 +133,12 @@ def limit_jerk(
 def _stretch(curve: Curve, timing: Timing, needs: Needs | None, first: int, last: int) -> _Stretch:
     """What is between two grid points."""
     own = cut(curve, first, last)
-    left = len(own.grid) - 1 - (last - first)
-    x, times = (
-        np.pad(v[first : last + 1], (0, left), mode="edge") for v in (timing.x, timing.times)
-    )
-    u = np.pad(timing.u[first:last], (0, left))
+    points = np.minimum(first + np.arange(len(own.grid)), last)
+    x, times = timing.x[points], timing.times[points]
+    u = timing.u[np.minimum(points[:-1], last - 1)]
     if needs is not None:
-        ends = (0, 2 * left), (0, 0)
-        needs = Needs(*(np.pad(v[2 * first : 2 * last + 1], ends, mode="edge") for v in needs))
+        halves = np.minimum(2 * first + np.arange(2 * len(own.grid) - 1), 2 * last)
+        needs = Needs(*(values[halves] for values in needs))
     return _Stretch(own, Timing(x, u, times - times[0], timing.failed_at), needs)
 
 
@@ -290,11 +288,12 @@ def _exact_factors(
     factors = [1.0 if np.isfinite(slower.factor) else np.inf for slower in found]
     if limits.torque is None or not found:
         return factors
-    needs = needs_of(robot, curves, [slower.samples.at for slower in found], clock)
-    for i, (need, (_, samples, _)) in enumerate(zip(needs, found, strict=True)):
+    left = [_Samples(*(x[each.samples.exists] for x in each.samples)) for each in found]
+    needs = needs_of(robot, curves, [samples.at for samples in left], clock)
+    for i, (need, samples) in enumerate(zip(needs, left, strict=True)):
         v, a = samples.speed[:, None], samples.push[:, None]
         torques = need.rest + need.push * a + need.speed * v**2
         torques += need.damping * v + np.sign(v) * need.dry
-        if (np.abs(torques) > limits.torque)[samples.exists].any():
+        if (np.abs(torques) > limits.torque).any():
             factors[i] = max(factors[i], float(_torque_factor(limits, need, samples)))
     return factors
