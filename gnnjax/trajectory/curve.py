@@ -140,7 +140,7 @@ def cut(curve: Curve, first: int, last: int) -> Curve:
     points = np.minimum(first + np.arange(total + 1), last)
     grid = curve.grid[points] - curve.grid[first]
 
-    def padded(values: np.ndarray, padding: float) -> np.ndarray:
+    def padded(values: np.ndarray, padding: int | float) -> np.ndarray:
         found = np.full((size, *values.shape[1:]), padding, values.dtype)
         found[: len(own)] = values
         return found
