@@ -16,7 +16,7 @@ from gnnjax.scene.shapes import sphere
 from gnnjax.trajectory.curve import distinct, edges_of, make_curve, places, size_of
 from gnnjax.trajectory.execution import execute_trajectory
 from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
-from gnnjax.trajectory.states import sample_trajectory, states
+from gnnjax.trajectory.states import largest_use, sample_trajectory
 from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
 
@@ -45,23 +45,6 @@ def random_paths(robot, number, seed=0):
     return [rng.uniform(*span, (rng.integers(2, 7), robot.num_dof)) for _ in range(number)]
 
 
-def most_used(robot, limits, trajectory):
-    """The largest share of limits that a motion uses, on a grid ten times denser than its own."""
-    times = (trajectory.profile or trajectory.timing).times
-    parts = np.arange(10)[:, None] / 10
-    fine = np.append((times[:-1] + parts * np.diff(times)).T.ravel(), times[-1])
-    found = states(robot, trajectory, np.unique(fine))
-    used = [found.velocities / limits.velocity, found.accelerations / limits.acceleration]
-    if limits.torque is not None:
-        used.append(found.torques / limits.torque)
-    if limits.jerk is not None:
-        steps = np.diff(found.times)
-        far = steps > 1e-7
-        leaps = np.diff(found.accelerations, axis=0)[far] / steps[far, None]
-        used.append(leaps / limits.jerk)
-    return max(np.abs(x).max() for x in used)
-
-
 @pytest.mark.parametrize("torque", [None, TORQUES])
 @pytest.mark.parametrize("blend", [0.0, 0.4])
 def test_limits_hold_between_grid_points_and_one_is_always_reached(free, torque, blend):
@@ -69,7 +52,7 @@ def test_limits_hold_between_grid_points_and_one_is_always_reached(free, torque,
     paths = random_paths(free, 100)
     found = time_paths(free, NOTHING, paths, **limits._asdict(), blend=blend)
     assert all(x.success and x.certified for x in found), [x.reason for x in found]
-    shares = [most_used(free, limits, x) for x in found]
+    shares = [largest_use(free, limits, x) for x in found]
     assert max(shares) < 1.001
     assert min(shares) > 0.98
     assert [x.stops for x in found] == [0 if blend else len(path) - 2 for path in paths]
@@ -81,7 +64,7 @@ def test_jerk_is_limited_and_all_else_too(free, blend, jerk):
     paths = [path[:4] for path in random_paths(free, 4)]
     found = time_paths(free, NOTHING, paths, **limits._asdict(), blend=blend)
     assert all(x.success for x in found), [x.reason for x in found]
-    shares = [most_used(free, limits, x) for x in found]
+    shares = [largest_use(free, limits, x) for x in found]
     assert max(shares) < 1.001
     assert min(shares) > 0.95
     longer = [x.duration / x.timing.times[-1] for x in found]
@@ -123,7 +106,7 @@ def test_limits_hold_for_a_shipped_arm():
     found = [x for x in time_paths(robot, NOTHING, paths, **limits._asdict()) if x.certified]
     assert len(found) > 5
     assert all(x.success for x in found)
-    assert max(most_used(robot, limits, x) for x in found) < 1.001
+    assert max(largest_use(robot, limits, x) for x in found) < 1.001
 
 
 def trapezoid(way, speed, push):
@@ -321,7 +304,7 @@ def test_a_motion_of_little_jerk_stops_where_that_is_faster_than_a_narrow_corner
     found = time_path(free, NOTHING, mixed, **given)
     assert found.stops == 1
     assert found.duration < wide.duration + 0.3
-    assert most_used(free, limits_of(free, **given), found) < 1.001
+    assert largest_use(free, limits_of(free, **given), found) < 1.001
 
 
 def test_a_path_that_turns_back_is_followed(free):
@@ -330,7 +313,7 @@ def test_a_path_that_turns_back_is_followed(free):
     for blend in (0.0, 0.3):
         found = time_path(free, NOTHING, path, **limits._asdict(), blend=blend)
         assert found.success
-        assert most_used(free, limits, found) < 1.001
+        assert largest_use(free, limits, found) < 1.001
 
 
 def test_an_arm_that_cannot_hold_what_it_carries_is_told_so(tiny):
