@@ -26,7 +26,7 @@ from gnnjax.trajectory.timing import Timing, fastest
 
 # A corner is narrow if it is passed more slowly than so many times the square of a joint's
 # acceleration by its jerk: about what is gained while acceleration builds up.
-_NARROW = 0.35, 1.0, 2.0
+_NARROW = 0.35, 1.0, 1.8, 2.0
 
 
 class Move(NamedTuple):
