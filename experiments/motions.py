@@ -40,10 +40,8 @@ from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
-from gnnjax.trajectory.states import states
+from gnnjax.trajectory.states import largest_use
 from gnnjax.trajectory.trajectory import Trajectory, time_path, time_paths
-
-_DENSER = 10  # moments for each interval of a motion's grid
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +110,7 @@ def _measure(config: MotionsConfig, arm: str, path: Path) -> Row:
             "reasons": sorted({motion.reason for motion in found if not motion.success}),
             "certified": sum(motion.certified for motion in good),
             "stops": sum(motion.stops for motion in good),
-            "largest_use": max(_largest_use(robot, limits, motion) for motion in good),
+            "largest_use": max(largest_use(robot, limits, motion) for motion in good),
         }
         print(f"{robot.name}, {planner}: {len(good)} motions", flush=True)
         if planner == OWN:
@@ -158,18 +156,6 @@ def _in_batches(
 
 def _given(config: MotionsConfig) -> Row:
     return {"velocity": config.velocity, "acceleration": config.acceleration}
-
-
-def _largest_use(robot: Robot, limits: Limits, motion: Trajectory) -> float:
-    """The largest share of a limit that a motion needs, seen between its grid's moments, too."""
-    grid = np.asarray(motion.timing.times)
-    grid = np.unique(grid[np.isfinite(grid)])
-    times = np.linspace(grid[:-1], grid[1:], _DENSER, endpoint=False, axis=1).ravel()
-    seen = states(robot, motion, np.append(times, grid[-1]))
-    uses = [(seen.velocities, limits.velocity), (seen.accelerations, limits.acceleration)]
-    if limits.torque is not None:
-        uses.append((seen.torques, limits.torque))
-    return max(float(np.max(np.abs(values) / most)) for values, most in uses)
 
 
 def _clock(

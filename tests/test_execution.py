@@ -21,8 +21,9 @@ from gnnjax.trajectory.execution import (
     execute_trajectory,
     motion_clearance,
 )
+from gnnjax.trajectory.limits import limits_of
 from gnnjax.trajectory.simulate import DT, ModelErrors, build_true_world
-from gnnjax.trajectory.states import followed, sample_trajectory
+from gnnjax.trajectory.states import followed, largest_use, sample_trajectory
 from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
 
@@ -98,6 +99,37 @@ def test_an_arm_that_is_as_its_model_follows_by_computed_torque(robot, motion):
     assert (found.depth, found.touched_at, found.touched) == (0.0, np.inf, ())
     assert found.torque_use == pytest.approx(np.abs(found.trace.torques / TORQUE).max())
     assert 0.1 < found.torque_use < 1
+
+
+BALL = '<geom type="sphere" size="0.05" mass="1"/>'
+HINGE = f"""<body pos="0.3 0 0"><joint name="a" axis="0 1 0" range="-3 3"/>{BALL}</body>"""
+GANTRY = f"""<body pos="0.3 0 0"><joint name="x" type="slide" axis="1 0 0" range="0 1"/>{BALL}
+<body pos="0 0 0.3"><joint name="z" type="slide" axis="0 0 1" range="0 1"/>{BALL}</body></body>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "bodies", "path"),
+    [
+        ("hinge", HINGE, [[-1.0], [0.4], [-0.2]]),  # there and back
+        ("gantry", GANTRY, [[0.0, 0.0], [0.5, 0.1], [0.2, 0.4]]),
+    ],
+)
+def test_arms_of_one_joint_and_of_slides_follow_motions_of_limited_jerk(
+    tmp_path, name, bodies, path
+):
+    file = tmp_path / f"{name}.xml"
+    base = '<compiler autolimits="true" angle="radian"/><worldbody><geom size="0.05"/>'
+    file.write_text(f'<mujoco model="{name}">{base}{bodies}</worldbody></mujoco>')
+    arm, limits = load_robot(file), {**SPEEDS, "jerk": 30.0, "torque": 40.0}
+    found = time_path(arm, NOTHING, path, **limits)
+    assert 0.9 < largest_use(arm, limits_of(arm, **limits), found) < 1.001
+    done = execute_trajectory(arm, NOTHING, found, torque=limits["torque"])
+    assert done.success, done.reason
+    assert done.max_error.max() < 1e-3
+    np.testing.assert_allclose(done.trace.positions[[0, -1]], [path[0], path[-1]], atol=1e-4)
+    leaps = np.diff(done.trace.wanted.accelerations, axis=0) / DT
+    # Where jerk leaps within a step, what is interpolated overshoots.
+    assert np.abs(leaps).max() < 1.2 * limits["jerk"]
 
 
 def test_position_servos_are_late_by_their_damper_over_their_spring(robot):

@@ -6,6 +6,7 @@ from experiments.record import run
 from experiments.registry import EXPERIMENTS
 from gnnjax.scene.scene import make_scene
 from gnnjax.trajectory.limits import limits_of
+from gnnjax.trajectory.states import largest_use
 from gnnjax.trajectory.trajectory import time_path
 
 
@@ -47,7 +48,7 @@ def test_use_is_that_of_the_narrowest_limit(tiny):
     given = {"velocity": 2.0, "acceleration": 6.0}
     limits, path = limits_of(tiny, **given), [tiny.home, tiny.home + 0.1]
     motion = time_path(tiny, make_scene([], []), path, proven=True, **given)
-    use = motions._largest_use(tiny, limits, motion)
+    use = largest_use(tiny, limits, motion)
     assert 0.9 < use < 1.001
     half = limits._replace(velocity=limits.velocity / 2, acceleration=limits.acceleration / 2)
-    assert motions._largest_use(tiny, half, motion) >= 1.9 * use
+    assert largest_use(tiny, half, motion) >= 1.9 * use

@@ -55,7 +55,7 @@ problems.structures problems.shelves problems.furniture problems.clutter problem
 problems.family_problem problems.labelled problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
 trajectory.clearance trajectory.timing trajectory.batches trajectory.needs trajectory.jerk
-trajectory.trajectory trajectory.states trajectory.files
+trajectory.moves trajectory.trajectory trajectory.states trajectory.files
 planning.options planning.query planning.goals planning.motions planning.progress
 planning.strategy planning.walks planning.guided planning.pool planning.shortening
 planning.shortcuts planning.trees

@@ -13,10 +13,14 @@ from gnnjax.collision.margins import proven_clearance
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
-from gnnjax.trajectory.curve import distinct, edges_of, make_curve, places, size_of
+from gnnjax.trajectory import moves
+from gnnjax.trajectory.curve import cut, distinct, edges_of, make_curve, places, size_of, thirds
 from gnnjax.trajectory.execution import execute_trajectory
+from gnnjax.trajectory.jerk import Profile
 from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
-from gnnjax.trajectory.states import sample_trajectory, states
+from gnnjax.trajectory.smooth import Smoothed
+from gnnjax.trajectory.states import largest_use, sample_trajectory
+from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
 
@@ -45,23 +49,6 @@ def random_paths(robot, number, seed=0):
     return [rng.uniform(*span, (rng.integers(2, 7), robot.num_dof)) for _ in range(number)]
 
 
-def most_used(robot, limits, trajectory):
-    """The largest share of limits that a motion uses, on a grid ten times denser than its own."""
-    times = (trajectory.profile or trajectory.timing).times
-    parts = np.arange(10)[:, None] / 10
-    fine = np.append((times[:-1] + parts * np.diff(times)).T.ravel(), times[-1])
-    found = states(robot, trajectory, np.unique(fine))
-    used = [found.velocities / limits.velocity, found.accelerations / limits.acceleration]
-    if limits.torque is not None:
-        used.append(found.torques / limits.torque)
-    if limits.jerk is not None:
-        steps = np.diff(found.times)
-        far = steps > 1e-7
-        leaps = np.diff(found.accelerations, axis=0)[far] / steps[far, None]
-        used.append(leaps / limits.jerk)
-    return max(np.abs(x).max() for x in used)
-
-
 @pytest.mark.parametrize("torque", [None, TORQUES])
 @pytest.mark.parametrize("blend", [0.0, 0.4])
 def test_limits_hold_between_grid_points_and_one_is_always_reached(free, torque, blend):
@@ -69,7 +56,7 @@ def test_limits_hold_between_grid_points_and_one_is_always_reached(free, torque,
     paths = random_paths(free, 100)
     found = time_paths(free, NOTHING, paths, **limits._asdict(), blend=blend)
     assert all(x.success and x.certified for x in found), [x.reason for x in found]
-    shares = [most_used(free, limits, x) for x in found]
+    shares = [largest_use(free, limits, x) for x in found]
     assert max(shares) < 1.001
     assert min(shares) > 0.98
     assert [x.stops for x in found] == [0 if blend else len(path) - 2 for path in paths]
@@ -81,7 +68,7 @@ def test_jerk_is_limited_and_all_else_too(free, blend, jerk):
     paths = [path[:4] for path in random_paths(free, 4)]
     found = time_paths(free, NOTHING, paths, **limits._asdict(), blend=blend)
     assert all(x.success for x in found), [x.reason for x in found]
-    shares = [most_used(free, limits, x) for x in found]
+    shares = [largest_use(free, limits, x) for x in found]
     assert max(shares) < 1.001
     assert min(shares) > 0.95
     longer = [x.duration / x.timing.times[-1] for x in found]
@@ -123,7 +110,7 @@ def test_limits_hold_for_a_shipped_arm():
     found = [x for x in time_paths(robot, NOTHING, paths, **limits._asdict()) if x.certified]
     assert len(found) > 5
     assert all(x.success for x in found)
-    assert max(most_used(robot, limits, x) for x in found) < 1.001
+    assert max(largest_use(robot, limits, x) for x in found) < 1.001
 
 
 def trapezoid(way, speed, push):
@@ -321,7 +308,44 @@ def test_a_motion_of_little_jerk_stops_where_that_is_faster_than_a_narrow_corner
     found = time_path(free, NOTHING, mixed, **given)
     assert found.stops == 1
     assert found.duration < wide.duration + 0.3
-    assert most_used(free, limits_of(free, **given), found) < 1.001
+    assert largest_use(free, limits_of(free, **given), found) < 1.001
+
+
+def test_stops_are_those_between_which_any_motion_is_the_fastest():
+    path = np.stack([np.arange(5.0), np.arange(5.0) ** 2, np.zeros(5)], axis=1)
+    along = np.concatenate([[0.0], np.cumsum(edges_of(path)[0])])
+
+    def moving(stops, lasts):
+        blends = np.full(3, 0.2)
+        blends[np.array(stops, int) - 1] = 0.0
+        curve, zeros = make_curve(path, blends, 4), np.zeros(len(lasts))
+        profile = Profile(np.cumsum([0.0, *lasts]), along[[0, *stops]], zeros, zeros, zeros)
+        still = Timing(curve.grid, curve.grid[1:], curve.grid, np.array(-1))
+        return moves.Move(Smoothed(path, blends, True), curve, still, profile)
+
+    found = [moving([], [20.0]), moving([2], [2.0, 6.0]), moving([1, 2, 3], [3.0, 3.0, 1.0, 1.0])]
+    (mixed,) = moves._best_stops(found)
+    np.testing.assert_array_equal(mixed.blends, [0.2, 0.0, 0.0])  # 2, 1 and 1 s
+    assert moves._best_stops(found[:2]) == []  # the second one itself
+    assert moves._best_stops([found[0]._replace(profile=None)]) == []
+
+
+def test_what_is_cut_out_of_a_curve_is_where_it_was():
+    rng = np.random.default_rng(0)
+    path = rng.normal(size=(12, 3))
+    half = 0.4 * edges_of(path)[0]
+    blends = np.minimum(half[:-1], half[1:]) * (np.arange(10) % 4 > 0)
+    curve = make_curve(path, blends, size_of(path))
+    ends = np.flatnonzero(curve.stops).tolist()
+    for first, last in zip(ends[::2], ends[1::2], strict=True):
+        own = cut(curve, first, last)
+        assert len(own.grid) <= len(curve.grid)
+        at = np.linspace(0, last - first, 500)
+        at[-1] -= 1e-9  # behind it, a stop turns
+        for part, whole in zip(places(own, at), places(curve, first + at), strict=True):
+            np.testing.assert_allclose(part, whole, atol=1e-9)
+        np.testing.assert_allclose(thirds(own, at), thirds(curve, first + at), atol=1e-6)
+        np.testing.assert_allclose(own.grid[-1], curve.grid[last] - curve.grid[first])
 
 
 def test_a_path_that_turns_back_is_followed(free):
@@ -330,7 +354,7 @@ def test_a_path_that_turns_back_is_followed(free):
     for blend in (0.0, 0.3):
         found = time_path(free, NOTHING, path, **limits._asdict(), blend=blend)
         assert found.success
-        assert most_used(free, limits, found) < 1.001
+        assert largest_use(free, limits, found) < 1.001
 
 
 def test_an_arm_that_cannot_hold_what_it_carries_is_told_so(tiny):

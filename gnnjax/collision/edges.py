@@ -107,14 +107,22 @@ def test_edges(
     return test(check_configurations, order, resolution, scene, starts, ends)
 
 
+def configurations_at(
+    low: jax.Array, way: jax.Array, intervals: jax.Array, point: jax.Array
+) -> jax.Array:
+    """Of edges from `low` `[... D]` by `way` `[... D]`, cut into intervals, those at points."""
+    fraction = point / intervals.astype(low.dtype)
+    return low + fraction[..., None] * way
+
+
 def _configurations(
     table: jax.Array, low: jax.Array, way: jax.Array, intervals: jax.Array, step: jax.Array
 ) -> jax.Array:
     """Of edges from `low` `[E D]` by `way` `[E D]`, those `[E B D]` that come at steps `[B]` or
     `[E B]` of the table's order."""
-    point = table[intervals[:, None], jnp.minimum(step, table.shape[1] - 1)]
-    fraction = point / intervals[:, None].astype(low.dtype)
-    return low[:, None] + fraction[..., None] * way[:, None]
+    intervals = intervals[:, None]
+    point = table[intervals, jnp.minimum(step, table.shape[1] - 1)]
+    return configurations_at(low[:, None], way[:, None], intervals, point)
 
 
 def _first_blocked(

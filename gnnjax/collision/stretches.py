@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from gnnjax.arm.kinematics import joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
+from gnnjax.collision.edges import configurations_at
 from gnnjax.collision.exact import PartTests
 from gnnjax.collision.spheres import Obstacle, Passes, Placed
 
@@ -45,9 +46,8 @@ class Edges(NamedTuple):
 
     def at(self, edge: jax.Array, point: jax.Array) -> jax.Array:
         """Configurations `[B D]`, the very ones that testing edges one by one tests."""
-        fraction = point / self.intervals[edge].astype(self.low.dtype)
         low, high = self.low[edge], self.high[edge]
-        return low + fraction[:, None] * (high - low)
+        return configurations_at(low, high - low, self.intervals[edge], point)
 
     def within(self, inside: Callable[[jax.Array], jax.Array]) -> Bool[Array, " E"]:
         """Which have all configurations between their ends in a box: the outermost are."""

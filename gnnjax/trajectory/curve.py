@@ -8,7 +8,7 @@ curve is the length `s` of the path before it was rounded.
 A corner with blend 0 is none to pass at speed: the motion stops there.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -129,36 +129,80 @@ def grid_size(size: int) -> int:
     return 24 * (size + 2)
 
 
+def cut(curve: Curve, first: int, last: int) -> Curve:
+    """A curve between two grid points, with `s` from 0, of the least size that has room for it; its
+    grid ends with intervals of no length."""
+    inside = (curve.entries >= first) & (curve.exits <= last) & (curve.blends > 0)
+    own, size = np.flatnonzero(inside), 2
+    while size < len(own) or grid_size(size) < last - first:
+        size *= 2
+    total, begin = grid_size(size), places(curve, np.array([float(first)]))
+    points = np.minimum(first + np.arange(total + 1), last)
+    grid = curve.grid[points] - curve.grid[first]
+
+    def padded(values: np.ndarray, padding: int | float) -> np.ndarray:
+        found = np.full((size, *values.shape[1:]), padding, values.dtype)
+        found[: len(own)] = values
+        return found
+
+    return Curve(
+        begin.q[0],
+        begin.slope[0],
+        padded(curve.turns[own], 0.0),
+        padded(curve.corners[own] - curve.grid[first], grid[-1]),
+        padded(curve.blends[own], 0.0),
+        padded(curve.entries[own] - first, total),
+        padded(curve.exits[own] - first, total),
+        grid,
+        curve.stops[points],
+    )
+
+
 def places(curve: Curve, at: Float[Array | np.ndarray, " P"]) -> Places:
     """Places of one curve at grid indices, which may lie between two; stops turn at once, behind
     the middle of their interval. NumPy's for NumPy's."""
     xp = at.__array_namespace__()
     interval = xp.clip(xp.floor(at), 0, curve.grid.shape[-1] - 2).astype(int)
     s = curve.grid[interval] + (at - interval) * xp.diff(curve.grid)[interval]
-    span = xp.maximum(curve.exits - curve.entries, 1)
-    w = xp.clip((at[:, None] - curve.entries) / span, 0.0, 1.0)  # [P C]
-    stop = curve.blends == 0
-    w = xp.where(stop, xp.round(w), w)
-    width = 2 * curve.blends
+    row, w = _corner_at(curve, interval, at)
+    stop = curve.blends[row] == 0
+    w = xp.where(stop, xp.round(xp.clip(w, 0.0, 1.0)), xp.clip(w, 0.0, 1.0))
+    width = 2 * curve.blends[row]
     # How far the new direction was gone: the integral of its share, and s behind the blend.
-    gone = width * w**3 * (1 - w / 2) + xp.maximum(s[:, None] - curve.corners - curve.blends, 0.0)
+    behind = xp.maximum(s - (curve.corners + curve.blends)[row], 0.0)
+    gone = width * w**3 * (1 - w / 2) + behind
     share = w**2 * (3 - 2 * w)
     bend = xp.where(stop, 0.0, 6 * w * (1 - w) / xp.where(stop, 1.0, width))
+    # What the corners before have turned, as if it had turned at them.
+    turns, none = curve.turns, xp.zeros_like(curve.turns[:1])
+    turned = xp.concatenate([none, xp.cumsum(turns, axis=0)[:-1]])
+    shifted = xp.concatenate([none, xp.cumsum(curve.corners[:, None] * turns, axis=0)[:-1]])
+    slope, turn = (curve.direction + turned)[row], turns[row]
     return Places(
-        curve.start + s[:, None] * curve.direction + gone @ curve.turns,
-        curve.direction + share @ curve.turns,
-        bend @ curve.turns,
+        (curve.start - shifted)[row] + s[:, None] * slope + gone[:, None] * turn,
+        slope + share[:, None] * turn,
+        bend[:, None] * turn,
     )
 
 
 def thirds(curve: Curve, at: Float[Array | np.ndarray, " P"]) -> Float[Array | np.ndarray, "P D"]:
     """Third derivatives of one curve by s at grid indices; they leap at the ends of blends."""
     xp = at.__array_namespace__()
+    row, w = _corner_at(curve, at, at)
+    blend = curve.blends[row]
+    inside = (w >= 0) & (w <= 1) & (blend > 0)
+    width = xp.where(blend > 0, 2 * blend, 1.0)
+    return xp.where(inside, 6 * (1 - 2 * w) / width**2, 0.0)[:, None] * curve.turns[row]
+
+
+def _corner_at(curve: Curve, interval: Any, at: Any) -> tuple[Any, Any]:
+    """The first corner `[P]` that is not passed in intervals, or the last one, and which share of
+    its blend is: below 0 before it, above 1 behind it."""
+    xp = at.__array_namespace__()
+    row = xp.searchsorted(curve.exits, interval, side="right")
+    row = xp.minimum(row, len(curve.exits) - 1)
     span = xp.maximum(curve.exits - curve.entries, 1)
-    w = (at[:, None] - curve.entries) / span
-    inside = (w >= 0) & (w <= 1) & (curve.blends > 0)
-    width = xp.where(curve.blends > 0, 2 * curve.blends, 1.0)
-    return xp.where(inside, 6 * (1 - 2 * w) / width**2, 0.0) @ curve.turns
+    return row, (at - curve.entries[row]) / span[row]
 
 
 def straight_pieces(path: np.ndarray, blends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,8 +13,7 @@ side of each leap of the jerk. On straight lines, where the shortest motion is k
 no longer where a velocity is reached for as long as the window is, and up to a fifth longer where
 it is not.
 
-A stretch is all of its curve's grid, whose other intervals take no time, so that there are few
-shapes to compile.
+A stretch is a curve of its own, of one of few sizes, so that there are few shapes to compile.
 """
 
 import itertools
@@ -29,7 +28,7 @@ from jaxtyping import Array, Bool, Float
 from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
 from gnnjax.trajectory.batches import over_curves
-from gnnjax.trajectory.curve import Curve, places, thirds
+from gnnjax.trajectory.curve import Curve, cut, places, thirds
 from gnnjax.trajectory.limits import Limits
 from gnnjax.trajectory.needs import Needs, needs_of
 from gnnjax.trajectory.timing import Timing
@@ -65,13 +64,11 @@ class Profile(NamedTuple):
 
 
 class _Stretch(NamedTuple):
-    """What is between two stops."""
+    """What is between two stops. Of the grid's padding, nothing takes time."""
 
     curve: Curve
     timing: Timing
     needs: Needs | None  # at all halves of intervals; None: torques have no limits
-    first: int  # grid point of the stop before it
-    last: int  # of that behind it
 
 
 class _Samples(NamedTuple):
@@ -113,22 +110,36 @@ def limit_jerk(
     if limits.torque is not None:
         halves = [np.arange(2 * len(curves[i].grid) - 1) / 2 for i in chosen]
         needs = [*needs_of(robot, [curves[i] for i in chosen], halves, clock)]
-    owners, stretches = [], []
+    owners, begins, stretches = [], [], []
     for i, need in zip(chosen, needs, strict=True):
         curve = curves[i]
         for first, last in itertools.pairwise(np.flatnonzero(curve.stops).tolist()):
             if curve.grid[last] > curve.grid[first]:
                 owners.append(i)
-                stretches.append(_Stretch(curve, timings[i], need, first, last))
+                begins.append(curve.grid[first])
+                stretches.append(_stretch(curve, timings[i], need, first, last))
     sizes = [len(each.curve.grid) for each in stretches]
     slower = over_curves(_alone, _together, limits, stretches, sizes, clock)
     parts: dict[int, list[Profile | None]] = {i: [] for i in chosen}
     factors = _exact_factors(robot, limits, [each.curve for each in stretches], slower, clock)
-    for i, each, factor in zip(owners, slower, factors, strict=True):
-        parts[i].append(each.profile.slowed(factor) if np.isfinite(factor) else None)
+    for i, begin, each, factor in zip(owners, begins, slower, factors, strict=True):
+        part = each.profile._replace(way=each.profile.way + begin).slowed(factor)
+        parts[i].append(part if np.isfinite(factor) else None)
     for i in chosen:
         found[i] = _joined(parts[i])
     return found
+
+
+def _stretch(curve: Curve, timing: Timing, needs: Needs | None, first: int, last: int) -> _Stretch:
+    """What is between two grid points."""
+    own = cut(curve, first, last)
+    points = np.minimum(first + np.arange(len(own.grid)), last)
+    x, times = timing.x[points], timing.times[points]
+    u = timing.u[np.minimum(points[:-1], last - 1)]
+    if needs is not None:
+        halves = np.minimum(2 * first + np.arange(2 * len(own.grid) - 1), 2 * last)
+        needs = Needs(*(values[halves] for values in needs))
+    return _Stretch(own, Timing(x, u, times - times[0], timing.failed_at), needs)
 
 
 def _joined(parts: Sequence[Profile | None]) -> Profile | None:
@@ -153,28 +164,19 @@ def _joined(parts: Sequence[Profile | None]) -> Profile | None:
 
 def _slower(limits: Limits, stretch: _Stretch) -> _Slower:
     """The motion along one stretch; torques are read between points of the grid."""
-    curve, timing, needs, first, last = stretch
+    curve, timing, needs = stretch
     assert limits.jerk is not None
-    begin = timing.times[first]
-    length = timing.times[last] - begin
-    times = jnp.clip(timing.times - begin, 0.0, length)
-    index = jnp.arange(len(times))
-    x = jnp.where((index >= first) & (index <= last), timing.x, 0.0)
-    inside = (index[:-1] >= first) & (index[:-1] < last)
-    pushes = jnp.where(inside, timing.u, 0.0)
-    slopes = places(curve, index[:-1] + 0.5).slope
-    steepest = jnp.max(jnp.abs(slopes) / limits.jerk, where=inside[:, None], initial=0.0)
-    enough = steepest * (pushes.max(initial=0.0) - pushes.min(initial=0.0))
+    slopes = places(curve, jnp.arange(len(timing.u)) + 0.5).slope
+    enough = jnp.max(jnp.abs(slopes) / limits.jerk) * jnp.ptp(timing.u)
 
     def tried(window: jax.Array) -> _Slower:
-        profile = _averaged(times, x, pushes, window)
-        profile = profile._replace(way=profile.way + curve.grid[first])
-        samples = _samples(curve, profile, first, last)
+        profile = _averaged(timing.times, timing.x, timing.u, window)
+        samples = _samples(curve, profile)
         return _Slower(profile, samples, _factor(limits, curve, needs, samples))
 
     windows = enough * _WINDOWS
     factors = jax.lax.map(lambda window: tried(window).factor, windows)
-    best = tried(windows[jnp.argmin(factors * (length + windows))])
+    best = tried(windows[jnp.argmin(factors * (timing.times[-1] + windows))])
     factor, (at, speed, push, jerk, exists) = best.factor, best.samples
     slow = _Samples(at, speed / factor, push / factor**2, jerk / factor**3, exists)
     return _Slower(best.profile.slowed(factor), slow, factor)
@@ -218,22 +220,20 @@ def _averaged(
     return Profile(cuts, jnp.append(0.0, gone[:-1]), v, a, j)
 
 
-def _samples(curve: Curve, profile: Profile, first: jax.Array, last: jax.Array) -> _Samples:
+def _samples(curve: Curve, profile: Profile) -> _Samples:
     steps = jnp.diff(profile.times)
     piece = jnp.repeat(jnp.arange(len(steps)), len(_PARTS))
     since = (steps[:, None] * _PARTS).ravel()
     way, _, _ = profile.after(piece, since)
     # Where blends begin and end, the third derivative leaps.
     ends = jnp.concatenate([curve.entries, curve.exits])
-    own = jnp.tile(curve.blends > 0, 2) & (ends >= first) & (ends <= last)
-    ends = curve.grid[jnp.where(own, ends, first)]
+    ends = curve.grid[jnp.where(jnp.tile(curve.blends > 0, 2), ends, 0)]
     when = jnp.interp(ends, jax.lax.cummax(way), profile.times[piece] + since)
     more = jnp.clip(jnp.searchsorted(profile.times, when, side="right") - 1, 0, len(steps) - 1)
     piece = jnp.concatenate([piece, more])
     since = jnp.concatenate([since, when - profile.times[more]])
     _, speed, push = profile.after(piece, since)
     at = jnp.interp(jnp.append(way, ends), curve.grid, jnp.arange(len(curve.grid)))
-    at = jnp.clip(at, first, last)  # other stretches begin and end where this one does
     return _Samples(at, jnp.maximum(speed, 0.0), push, profile.jerk[piece], steps[piece] > 0)
 
 
@@ -288,11 +288,12 @@ def _exact_factors(
     factors = [1.0 if np.isfinite(slower.factor) else np.inf for slower in found]
     if limits.torque is None or not found:
         return factors
-    needs = needs_of(robot, curves, [slower.samples.at for slower in found], clock)
-    for i, (need, (_, samples, _)) in enumerate(zip(needs, found, strict=True)):
+    left = [_Samples(*(x[each.samples.exists] for x in each.samples)) for each in found]
+    needs = needs_of(robot, curves, [samples.at for samples in left], clock)
+    for i, (need, samples) in enumerate(zip(needs, left, strict=True)):
         v, a = samples.speed[:, None], samples.push[:, None]
         torques = need.rest + need.push * a + need.speed * v**2
         torques += need.damping * v + np.sign(v) * need.dry
-        if (np.abs(torques) > limits.torque)[samples.exists].any():
+        if (np.abs(torques) > limits.torque).any():
             factors[i] = max(factors[i], float(_torque_factor(limits, need, samples)))
     return factors

@@ -9,9 +9,12 @@ from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.collision.certify import beyond_limits
 from gnnjax.errors import InputError, check_number
 from gnnjax.trajectory.curve import Curve, places
+from gnnjax.trajectory.limits import Limits
 from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import Trajectory
 
+_DENSER = 10  # moments for each interval of a motion's own, at which its limits are compared
+_SOONEST = 1e-7  # s, between accelerations whose difference is no rounding
 _ROUNDED = 1e-3  # rad or m, of joint limits: people round what they write
 
 
@@ -71,6 +74,27 @@ def movement(
     velocities = np.asarray(place.slope) * speed
     accelerations = np.asarray(place.slope * push[:, None] + place.bend * speed**2)
     return positions, velocities, accelerations
+
+
+def largest_use(robot: Robot, limits: Limits, trajectory: Trajectory) -> float:
+    """The largest share of any of its limits that a motion uses, seen between the moments of its
+    grid, too: 1 where one is just reached.
+
+    Torques are those of MuJoCo's inverse dynamics. Jerk, if limited, is how fast accelerations
+    change from one moment to the next.
+    """
+    grid = np.asarray((trajectory.profile or trajectory.timing).times)
+    grid = np.unique(grid[np.isfinite(grid)])
+    times = np.linspace(grid[:-1], grid[1:], _DENSER, endpoint=False, axis=1).ravel()
+    seen = states(robot, trajectory, np.append(times, grid[-1]))
+    uses = [(seen.velocities, limits.velocity), (seen.accelerations, limits.acceleration)]
+    if limits.torque is not None:
+        uses.append((seen.torques, limits.torque))
+    if limits.jerk is not None:
+        steps = np.diff(seen.times)[:, None]
+        leaps = np.where(steps > _SOONEST, np.diff(seen.accelerations, axis=0) / steps, 0.0)
+        uses.append((leaps, limits.jerk))
+    return max(float(np.max(np.abs(values) / most, initial=0.0)) for values, most in uses)
 
 
 def _places_at(

@@ -1,10 +1,8 @@
 """From a certified path to a motion in time: rounded, and as fast as its limits allow."""
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,24 +11,19 @@ from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import torques_at_rest
 from gnnjax.clock import Clock
 from gnnjax.collision.certify import beyond_limits
-from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, check_number
 from gnnjax.scene.scene import Scene, inflated
-from gnnjax.trajectory.batches import over_curves
 from gnnjax.trajectory.clearance import clearances_of
-from gnnjax.trajectory.curve import Curve, edges_of, make_curve, places, size_of, stray
+from gnnjax.trajectory.curve import Curve, places, stray
 from gnnjax.trajectory.dynamics import check_dynamics
-from gnnjax.trajectory.jerk import Profile, limit_jerk
+from gnnjax.trajectory.jerk import Profile
 from gnnjax.trajectory.limits import Limits
+from gnnjax.trajectory.moves import Move, find_moves
 from gnnjax.trajectory.options import MotionOptions, check_motion_options, make_motion_options
-from gnnjax.trajectory.smooth import Smoothed, smooth_paths
-from gnnjax.trajectory.timing import Timing, fastest
+from gnnjax.trajectory.smooth import smooth_paths
+from gnnjax.trajectory.timing import Timing
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-# Where jerk is limited, a corner is narrow if it is passed more slowly than this many times the
-# square of a joint's acceleration by its jerk: about what is gained while acceleration builds up.
-_NARROW = 2.0
-_MOST_STOPS = 16  # for that: each stretch between stops takes as long to find as the whole motion
 
 
 class Trajectory(NamedTuple):
@@ -122,9 +115,7 @@ def find_motions(
     checked = [_checked(robot, path) for path in paths]
     thick = inflated(scene, margin)
     smoothed = smooth_paths(robot, thick, checked, options.blend, proven=proven)
-    moves = _moves(robot, limits, smoothed, clock)
-    if limits.jerk is not None:
-        moves = _without_narrow_corners(robot, limits, moves, clock)
+    moves = find_moves(robot, limits, smoothed, clock)
     found = [_trajectory(robot, limits, move) for move in moves]
     if options.clearance:
         kept = clearances_of(robot, scene, [move.smooth for move in moves])
@@ -148,90 +139,7 @@ def _checked(robot: Robot, path: ArrayLike) -> np.ndarray:
     return array
 
 
-class _Move(NamedTuple):
-    """What a trajectory is made of."""
-
-    smooth: Smoothed
-    curve: Curve
-    timing: Timing
-    profile: Profile | None
-
-    @property
-    def moving(self) -> bool:
-        """Whether there is a motion, jerk left aside."""
-        return self.smooth.certified and int(self.timing.failed_at) < 0
-
-
-def _moves(robot: Robot, limits: Limits, smoothed: Sequence[Smoothed], clock: Clock) -> list[_Move]:
-    curves = [make_curve(x.path, x.blends, size_of(x.path)) for x in smoothed]
-    timings = _timed(robot, limits, curves, clock)
-    moves = [_Move(*each, None) for each in zip(smoothed, curves, timings, strict=True)]
-    moving = [move.moving for move in moves]
-    profiles = limit_jerk(robot, limits, curves, timings, moving, clock)
-    return [move._replace(profile=each) for move, each in zip(moves, profiles, strict=True)]
-
-
-def _without_narrow_corners(
-    robot: Robot, limits: Limits, moves: list[_Move], clock: Clock
-) -> list[_Move]:
-    """Motions that stop at corners which are narrow for their jerk, where that takes less time.
-
-    It is a stretch between stops that is slowed down as a whole, and a corner that is hardly
-    rounded, as between points that are almost the same, would slow down all of it.
-    """
-    narrow = [_narrow(limits, move) for move in moves]
-    rows = [i for i, some in enumerate(narrow) if some.any()]
-    if not rows:
-        return moves
-    stopping = [
-        moves[i].smooth._replace(blends=np.where(narrow[i], 0.0, moves[i].smooth.blends))
-        for i in rows
-    ]
-    found = list(moves)
-    for i, other in zip(rows, _moves(robot, limits, stopping, clock), strict=True):
-        if other.profile is not None:
-            own = moves[i].profile
-            if own is None or other.profile.times[-1] < own.times[-1]:
-                found[i] = other
-    return found
-
-
-def _narrow(limits: Limits, move: _Move) -> np.ndarray:
-    """Which corners `[L - 2]` of a path are rounded, and narrow."""
-    path, blends, _ = move.smooth
-    if not (move.moving and blends.any()):
-        return np.zeros(len(blends), bool)
-    assert limits.jerk is not None
-    slopes = np.maximum(np.abs(edges_of(path)[1]), 1e-12)
-    push, jerk = ((x / slopes).min(axis=1) for x in (limits.acceleration, limits.jerk))
-    gained = push**2 / jerk  # of the speed along each edge
-    curve, number = move.curve, len(blends)
-    middles = (curve.entries[:number] + curve.exits[:number]) // 2
-    speeds = np.sqrt(move.timing.x[middles])
-    slow = (speeds < _NARROW * np.maximum(gained[:-1], gained[1:])) & (blends > 0)
-    slowest = np.argsort(np.where(slow, speeds, np.inf), kind="stable")
-    slow[slowest[_MOST_STOPS:]] = False
-    return slow
-
-
-def _timed(robot: Robot, limits: Limits, curves: list[Curve], clock: Clock) -> list[Timing]:
-    """The fastest motions along curves, which are of several sizes."""
-    cache_compilations()
-    if limits.jerk is None:  # the same program
-        limits = limits._replace(jerk=np.full(robot.num_dof, np.inf))
-    # Single precision loses what cancels where a row hardly depends on u.
-    sizes = [len(curve.grid) for curve in curves]
-    return over_curves(*_compiled(robot), limits, curves, sizes, clock)
-
-
-@functools.cache
-def _compiled(robot: Robot) -> tuple[Callable, Callable]:
-    """`fastest` for one curve and for many."""
-    run = functools.partial(fastest, robot)
-    return jax.jit(run), jax.jit(jax.vmap(run, in_axes=(None, 0)))
-
-
-def _trajectory(robot: Robot, limits: Limits, move: _Move) -> Trajectory:
+def _trajectory(robot: Robot, limits: Limits, move: Move) -> Trajectory:
     smooth, curve, timing, profile = move
     reason, duration = "", float(timing.times[-1])
     if not smooth.certified:
