@@ -32,7 +32,7 @@ from gnnjax.scene.holding import attach_from_json
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.scene_file import scene_from_json
 from gnnjax.training.weights import default_weights, load_network
-from gnnjax.trajectory import trajectory as trajectories
+from gnnjax.trajectory import moves
 from gnnjax.trajectory.options import MotionOptions
 from gnnjax.trajectory.timing import fastest
 from gnnjax.trajectory.trajectory import find_motions, time_path
@@ -103,15 +103,15 @@ def test_plans_come_with_their_motions(tiny_path, monkeypatch):
         return find_motions(*given, **named)
 
     seen = []
-    monkeypatch.setattr(trajectories, "fastest", slow)
+    monkeypatch.setattr(moves, "fastest", slow)
     monkeypatch.setattr(motions, "find_motions", seeing)
     planner = load_planner(tiny_path, "lazysp", num_nodes=60, margin=0.02)
     scenes = [random_scene(np.random.default_rng(2)), make_scene([[0, 0, 0]], [[0.4, 0.4, 3]])]
     starts, goals = np.array([[0.5, 1, 0]] * 2, "f4"), np.array([[-2, -1, 1]] * 2, "f4")
     problems = Problem(starts, goals, stack_scenes(scenes))
-    trajectories._compiled.cache_clear()
+    moves._compiled.cache_clear()
     plans = planner.plan_batch(problems, trajectory=MotionOptions(**LIMITS))
-    trajectories._compiled.cache_clear()
+    moves._compiled.cache_clear()
     assert [plan.success for plan in plans] == [True, False]
     assert plans[1].trajectory is None
     found = plans[0].trajectory
