@@ -11,6 +11,7 @@ from gnnjax.errors import InputError, needs_extra, run_command
 from gnnjax.files import atomic_write, check_apart, check_target
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.query import unit_of
 from gnnjax.query_options import QueryOptions, read_query, read_robot
 from gnnjax.trajectory.files import check_trajectory_file, save_trajectory
 from gnnjax.trajectory.options import MotionOptions, check_motion_options
@@ -75,8 +76,9 @@ def main(config: PlanConfig) -> int:
     if not plan.success:
         print(plan.reason)
         return 1
+    unit = unit_of(robot)
     print(
-        f"path of {len(plan.path)} configurations, cost {plan.cost:.3f} rad, certified free; "
+        f"path of {len(plan.path)} configurations, cost {plan.cost:.3f} {unit}, certified free; "
         f"{plan.edge_checks} edge checks, {plan.configuration_checks} configuration checks "
         f"({plan.sampling_checks} for sampling)"
     )
@@ -103,7 +105,7 @@ def main(config: PlanConfig) -> int:
         assert motion.clearance is not None
         print(
             f"its rounded corners take the cost from {motion.cost_before:.3f} to {motion.cost:.3f} "
-            f"rad, and what is proven to be kept from {1e3 * clearance:.0f} to "
+            f"{unit}, and what is proven to be kept from {1e3 * clearance:.0f} to "
             f"{1e3 * motion.clearance:.0f} mm"
         )
         if config.trajectory is not None:

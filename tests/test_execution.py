@@ -9,6 +9,7 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.errors import InputError
+from gnnjax.planning.query import unit_of
 from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import point_cloud
@@ -108,18 +109,19 @@ GANTRY = f"""<body pos="0.3 0 0"><joint name="x" type="slide" axis="1 0 0" range
 
 
 @pytest.mark.parametrize(
-    ("name", "bodies", "path"),
+    ("name", "bodies", "unit", "path"),
     [
-        ("hinge", HINGE, [[-1.0], [0.4], [-0.2]]),  # there and back
-        ("gantry", GANTRY, [[0.0, 0.0], [0.5, 0.1], [0.2, 0.4]]),
+        ("hinge", HINGE, "rad", [[-1.0], [0.4], [-0.2]]),  # there and back
+        ("gantry", GANTRY, "m", [[0.0, 0.0], [0.5, 0.1], [0.2, 0.4]]),
     ],
 )
 def test_arms_of_one_joint_and_of_slides_follow_motions_of_limited_jerk(
-    tmp_path, name, bodies, path
+    tmp_path, name, bodies, unit, path
 ):
     file = tmp_path / f"{name}.xml"
     base = '<compiler autolimits="true" angle="radian"/><worldbody><geom size="0.05"/>'
     file.write_text(f'<mujoco model="{name}">{base}{bodies}</worldbody></mujoco>')
+    assert unit_of(load_robot(file)) == unit
     arm, limits = load_robot(file), {**SPEEDS, "jerk": 30.0, "torque": 40.0}
     found = time_path(arm, NOTHING, path, **limits)
     assert 0.9 < largest_use(arm, limits_of(arm, **limits), found) < 1.001

@@ -146,7 +146,8 @@ def load_robot(
     What the file leaves open is decided, logged and kept in `Robot.notes`. An MJCF may hold
     `<custom><numeric name="velocity_limit" data="..."/></custom>`, likewise `acceleration_limit`,
     and a keyframe called `home`; a URDF's limits `acceleration` or `drake:acceleration`. The same
-    arguments give the same object, until that file changes.
+    arguments give the same object, until that file changes; that a mesh or an included file did,
+    a new process sees.
 
     Args:
         robot: name or path.

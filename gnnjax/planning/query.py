@@ -257,6 +257,12 @@ def _is_hinge(robot: Robot, joint: int) -> bool:
     return any(j.index == joint and j.hinge for body in robot.bodies for j in body.joints)
 
 
+def unit_of(robot: Robot) -> str:
+    """What joint values are in, and so costs, for people to read."""
+    hinges = {joint.hinge for body in robot.bodies for joint in body.joints}
+    return " and ".join(unit for unit, hinge in (("rad", True), ("m", False)) if hinge in hinges)
+
+
 def _single(q: ArrayLike) -> np.ndarray:
     """Configurations as planners take them."""
     with np.errstate(over="ignore"):  # infinite in float32, and refused as such

@@ -8,7 +8,7 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.planning.planner import Planner
-from gnnjax.planning.query import Plan
+from gnnjax.planning.query import Plan, unit_of
 from gnnjax.pose.goal import PoseGoal
 from gnnjax.pose.inverse import inverse_kinematics
 from gnnjax.pose.reasons import why_none
@@ -49,7 +49,7 @@ def make_solver(planner: Planner, options: MotionOptions, seed: int) -> Solve:
     Args:
         planner: of the arm.
         options: of the motion along a path. Of an arm whose model has no limits, and without limits
-            in them, paths are shown at one radian a second, which the text says.
+            in them, paths are shown at one radian, or metre, a second, which the text says.
         seed: of the roadmaps.
 
     Raises:
@@ -78,7 +78,7 @@ def make_solver(planner: Planner, options: MotionOptions, seed: int) -> Solve:
         else:
             shown = sample_trajectory(robot, motion, _STEP_S)
             times, positions = shown.times, shown.positions
-        return Answer(query, plan, _told(plan, untimed), plan.path, times, positions)
+        return Answer(query, plan, _told(robot, plan, untimed), plan.path, times, positions)
 
     return solve
 
@@ -117,12 +117,13 @@ def without_path(query: Query, plan: Plan | None, reason: str) -> Answer:
     return Answer(query, plan, f"**no path**: {reason}", none, np.zeros(0), none)
 
 
-def _told(plan: Plan, untimed: str) -> str:
+def _told(robot: Robot, plan: Plan, untimed: str) -> str:
+    unit = unit_of(robot)
     certified = "certified free" if plan.certified else "not certified"
     edges = "no" if plan.edge_checks is None else plan.edge_checks
     lines = [
         f"**path of {len(plan.path)} configurations**, {certified}",
-        f"cost {plan.cost:.3f} rad",
+        f"cost {plan.cost:.3f} {unit}",
         f"{edges} edge checks, {plan.configuration_checks} configuration checks "
         f"({plan.sampling_checks} for sampling)",
         f"{1e3 * plan.total_time_s:.1f} ms, of which {1e3 * plan.planning_time_s:.1f} ms planning; "
@@ -130,7 +131,7 @@ def _told(plan: Plan, untimed: str) -> str:
     ]
     motion = plan.trajectory
     if untimed:
-        lines.append(f"no motion in time, the path is shown at 1 rad a second: {untimed}")
+        lines.append(f"no motion in time, the path is shown at 1 {unit} a second: {untimed}")
     elif motion is not None:
         free = "certified free" if motion.certified else "not certified"
         lines.append(f"motion of {motion.duration:.2f} s, {free}, {motion.stops} stops")
