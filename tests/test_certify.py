@@ -12,37 +12,15 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.bounds import Spheres, spheres_of
 from gnnjax.collision.certify import certify_edges, certify_path, check_scene
 from gnnjax.collision.clearances import clearances, configuration_clearance, path_clearance
-from gnnjax.collision.gaps import Moments, gaps_of
+from gnnjax.collision.gaps import gaps_of
 from gnnjax.collision.margins import proven_clearance
 from gnnjax.collision.obstacles import obstacles_of
+from gnnjax.collision.travel import Moments, straight_motions
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_query
 from gnnjax.scene.scene import make_scene
 from tests.fine_scan import collides_anywhere, random_scene
-
-# Skew axes, anchors off the origin, a reference angle, a slide joint and several joints on a body.
-ODD = """
-<mujoco>
-  <compiler angle="radian" autolimits="true"/>
-  <worldbody>
-    <body pos="0.1 -0.2 0.3" quat="0.6 0.1 -0.7 0.2">
-      <joint axis="1 2 -0.5" pos="0.05 -0.03 0.2" range="-3 3"/>
-      <geom type="sphere" size="0.05" contype="1" conaffinity="1" mass="1"/>
-      <body pos="0 0 0.4" quat="1 0 0 1">
-        <joint type="slide" axis="0.3 0 1" range="-0.4 0.5" ref="0.1"/>
-        <joint axis="0 0 -1" pos="0.1 0 0" range="-2 2" ref="0.7"/>
-        <geom type="capsule" size="0.05" fromto="0 0 0 0.2 0 0.1" mass="1"/>
-        <body pos="0.2 0 0" quat="0 1 0 0">
-          <body pos="0 0.3 0">
-            <joint axis="0 -0.6 0.8" pos="0 0 -0.1" range="-2 2" ref="-0.4"/>
-            <geom type="sphere" size="0.06" pos="0.1 0 0" mass="1"/>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+from tests.odd_arm import ODD
 
 
 @pytest.fixture(scope="module")
@@ -313,9 +291,9 @@ def test_nothing_that_may_touch_is_left_out(robots, name):
     everything = Spheres(robot)
     everything.ball_radii[:] = np.inf
     at = Moments((starts.T + ends.T) / 2, owner, np.arange(len(starts)), np.full(len(starts), 0.5))
-    rates = everything.rates(np.abs(ends - starts).T)
+    motions = straight_motions(everything, (ends - starts).T, None)
     found, wanted = (
-        gaps_of(body, obstacles_of(batch), at, rates) for body in (spheres_of(robot), everything)
+        gaps_of(body, obstacles_of(batch), at, motions) for body in (spheres_of(robot), everything)
     )
     assert len(found.gap) < 0.7 * len(wanted.gap)
     wanted = type(wanted)(*(x[wanted.gap <= wanted.motion] for x in wanted))

@@ -42,9 +42,9 @@ class Spheres:
         for body in np.unique(self.bodies).tolist():
             own = self.bodies == body
             self.reach[own] = self._reach(body, self.centers[:, own].T)
-        axes = np.zeros((robot.num_dof, 3))
+        axes, self.hinges = np.zeros((robot.num_dof, 3)), np.zeros(robot.num_dof, bool)
         for joint in (joint for body in robot.bodies for joint in body.joints):
-            axes[joint.index] = joint.axis
+            axes[joint.index], self.hinges[joint.index] = joint.axis, joint.hinge
         # [D 3 3], whose products with vectors are those of the axes: row i is e_i x axis.
         self.crosses = np.cross(np.eye(3), axes[:, None])
         self._find_links()
@@ -68,6 +68,7 @@ class Spheres:
         self.middles = (low + high) / 2
         beyond = np.sqrt(sum_of_squares(self.centers - self.middles[:, self.link_of]))
         self.ball_radii = np.maximum.reduceat(beyond + self.radii, self.first)
+        self.spread = np.maximum.reduceat(beyond, self.first)  # [L] m; of centers, around middles
 
     def _sort_pairs(self, pairs: np.ndarray) -> None:
         """Pairs `[P, 2]` of spheres, those of the same two links side by side."""
@@ -91,6 +92,17 @@ class Spheres:
         """Of any of a part's points: of the vertices, since reach is convex; balls turn about
         them."""
         robot = self.robot
+        low, high = (
+            np.stack([f(part.vertices, axis=0) for part in robot.parts], axis=1)
+            for f in (np.min, np.max)
+        )
+        self.part_middles = (low + high) / 2  # [3 T] m, in the body's frame
+        self.part_spread = np.array(  # [T] m, of vertices, around these
+            [
+                np.linalg.norm(part.vertices - middle, axis=1).max()
+                for part, middle in zip(robot.parts, self.part_middles.T, strict=True)
+            ]
+        )
         self.part_reach = np.array(
             [self._reach(part.body, part.vertices).max(axis=0) for part in robot.parts]
         )
@@ -158,6 +170,18 @@ class Spheres:
         links = np.maximum.reduceat(spheres, self.first, axis=0)
         link_pairs = np.maximum.reduceat(pairs, self.pair_first, axis=0)
         return Rates(spheres, pairs, links, link_pairs, parts, part_pairs)
+
+    def bends(self, way: np.ndarray) -> Rates:
+        """Bounds on second derivatives along motions by `way` `[D, E]`.
+
+        The derivative of a point's place by two joints is a turn about the one nearer to the base
+        of what the other does to the point, so no longer than this, which is at most its reach;
+        and 0 where the nearer one slides. Joints are numbered from the base on.
+        """
+        by = np.abs(way)
+        turns = by * self.hinges[:, None]
+        # Of each joint, twice what those before it turn, and once what it turns itself.
+        return self.rates(by * (2 * np.cumsum(turns, axis=0) - turns))
 
     @functools.cached_property
     def _every_reach(self) -> tuple[np.ndarray, np.ndarray]:

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
-from gnnjax.collision.gaps import Moments, gaps_of, members
+from gnnjax.collision.gaps import gaps_of, members
 from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of, scene_faults
+from gnnjax.collision.travel import Moments, straight_motions
 from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.scene.allowed import check_allowed, check_arm
 from gnnjax.scene.scene import Scene
@@ -20,7 +21,7 @@ from gnnjax.scene.scene import Scene
 _SHORTEST_PIECE = 1e-4
 # Half an ulp of single precision: joint limits are stored as float32.
 _ROUNDED = 1e-6
-FIRST_CUT = 0.4  # configuration units; longer pieces are hardly ever free as a whole
+FIRST_CUT = 0.2  # configuration units; longer pieces are hardly ever free as a whole
 PIECES_A_BATCH = 1024  # whose arrays fit into a core's cache
 _EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
 
@@ -30,8 +31,9 @@ def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
     but for contacts that are meant (`allow_contacts`). Of torques it says nothing (`time_path`).
 
     The path is cut into pieces. A piece is free when, at its middle, every collision geom is
-    farther from everything else than any of its points can move until the piece's ends; otherwise
-    the piece is cut further. Capsules count as chains of spheres that enclose them.
+    farther from everything else than any of its points can move until the piece's ends
+    (`travel.py`); otherwise the piece is cut further. Capsules count as chains of spheres that
+    enclose them.
 
     Args:
         robot: the arm, with spheres and capsules as collision geoms.
@@ -116,7 +118,7 @@ def _certify_block(
     """
     body, lengths = spheres_of(robot), np.linalg.norm(ends - starts, axis=1)
     begin, way = starts.T.copy(), (ends - starts).T.copy()
-    rates = body.rates(np.abs(way))
+    motions = straight_motions(body, way, None if slack is None else slack.T)
     shortest = np.full(len(starts), _SHORTEST_PIECE)
     if slack is not None:  # cutting what is shorter leaves most of the motion as it is
         shortest = np.maximum(shortest, np.linalg.norm(slack, axis=1))
@@ -127,11 +129,7 @@ def _certify_block(
         now, later = _next_batch(edge)
         of, near, far = edge[now], low[now], high[now]
         q = begin[:, of] + (near + far) / 2 * way[:, of]
-        at = Moments(q, owner[of], of, (far - near) / 2)
-        if slack is not None:  # which does not shrink with the piece: each is a motion of its own
-            rates = body.rates(at.share * np.abs(way[:, of]) + slack[of].T)
-            at = at._replace(motion=np.arange(len(of)), share=np.ones(len(of)))
-        found = gaps_of(body, obstacles, at, rates)
+        found = gaps_of(body, obstacles, Moments(q, owner[of], of, (far - near) / 2), motions)
         # The largest share of a gap that the motion can use up: below 1 nothing is touched.
         need = np.zeros(len(of))
         np.maximum.at(need, found.moment, found.motion / np.maximum(found.gap, 1e-12))

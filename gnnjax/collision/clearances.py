@@ -5,8 +5,9 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.certify import PIECES_A_BATCH, configurations_of, cut, known_obstacles
-from gnnjax.collision.gaps import Moments, clear_of_base, gaps_of
+from gnnjax.collision.gaps import clear_of_base, gaps_of
 from gnnjax.collision.obstacles import Obstacles, owners_of
+from gnnjax.collision.travel import Moments, Motions
 from gnnjax.scene.scene import Scene, make_scene
 
 
@@ -34,13 +35,13 @@ def clearances(
     obstacles = known_obstacles(robot, scene)
     owner = owners_of(obstacles, owner, len(q))
     body = spheres_of(robot)
-    rates = body.same_rates(most)
+    motions = Motions(None, body.same_rates(most))
     found = np.where(np.isfinite(q).all(axis=1), np.inf, np.nan)
     finite = np.flatnonzero(found == np.inf)
     for first in range(0, len(finite), PIECES_A_BATCH):
         rows = finite[first : first + PIECES_A_BATCH]
         at = Moments(q[rows].T.copy(), owner[rows], np.zeros(len(rows), int), np.ones(len(rows)))
-        gaps = gaps_of(body, obstacles, at, rates)
+        gaps = gaps_of(body, obstacles, at, motions)
         np.minimum.at(found, rows[gaps.moment], gaps.gap)
     return found
 

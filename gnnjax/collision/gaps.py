@@ -10,22 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gnnjax.collision.bounds import Rates, Spheres
-from gnnjax.collision.link_frames import link_frames, place
+from gnnjax.collision.bounds import Spheres
+from gnnjax.collision.link_frames import joint_frames, of_links, pick, place
 from gnnjax.collision.obstacles import Obstacles, sum_of_squares
-
-# m; added to every motion, for what double precision rounds off. That is less than 1e-11 m among
-# numbers below 1e4 m.
-_ROUNDING = 1e-9
-
-
-class Moments(NamedTuple):
-    """B configurations, and the motions whose middles they are."""
-
-    q: np.ndarray  # [D B]
-    scene: np.ndarray  # [B] in which scene each is
-    motion: np.ndarray  # [B] of which motion it is a part
-    share: np.ndarray  # [B] how much of that is done until the part's ends, at most
+from gnnjax.collision.travel import Moments, Motions, Travel
 
 
 class Gaps(NamedTuple):
@@ -37,7 +25,7 @@ class Gaps(NamedTuple):
     touching: np.ndarray  # [N] that there is a contact, for sure
 
 
-def gaps_of(body: Spheres, obstacles: Obstacles, at: Moments, rates: Rates) -> Gaps:
+def gaps_of(body: Spheres, obstacles: Obstacles, at: Moments, motions: Motions) -> Gaps:
     """The gaps that a motion might use up, to obstacles and of the arm to itself.
 
     What is left out is farther apart than it can move: the gap of a sphere to an obstacle is at
@@ -51,84 +39,62 @@ def gaps_of(body: Spheres, obstacles: Obstacles, at: Moments, rates: Rates) -> G
     Links that no joint moves are not compared with obstacles: no configuration changes the
     outcome, see `clear_of_base`.
     """
-    frames = link_frames(body, at.q)
-    middles = place(frames, body.middles[:, :, None])  # [3 L B]
-    found = [
-        _gaps_to(body, obstacles, at, rates, frames, middles),
-        _gaps_within(body, at, rates, frames, middles),
-    ]
+    travel = Travel(body, at, motions)
+    found = [_gaps_to(obstacles, travel), _gaps_within(travel)]
     if obstacles.has_clouds:
-        found.append(_gaps_to_clouds(body, obstacles, at, rates, frames, middles))
+        found.append(_gaps_to_clouds(obstacles, travel))
     return Gaps(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _gaps_to(
-    body: Spheres,
-    obstacles: Obstacles,
-    at: Moments,
-    rates: Rates,
-    frames: np.ndarray,
-    middles: np.ndarray,
-) -> Gaps:
+def _gaps_to(obstacles: Obstacles, travel: Travel) -> Gaps:
+    body, at = travel.body, travel.at
     # Balls of links and balls of obstacles.
-    reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
     centers, radii, exists = (
         x.take(at.scene, axis=-1) for x in (obstacles.centers, obstacles.radii, obstacles.exists)
     )
-    apart = sum_of_squares(middles[:, body.moving, None] - centers[:, None])  # [L M B]
-    near = exists & ~(apart > (reach[body.moving, None] + radii) ** 2)
+    apart = sum_of_squares(travel.middles[:, body.moving, None] - centers[:, None])  # [L M B]
+    near = exists & ~(apart > (travel.reach[body.moving, None] + radii) ** 2)
     if obstacles.allowed is not None:
         near &= ~obstacles.allowed[body.links[body.moving]].take(at.scene, axis=-1)
     link, thing, moment = np.unravel_index(np.flatnonzero(near), near.shape)
     link = body.moving[link]
     found = _Links(link, moment, thing)
-    sphere, moment, thing, gap, motion = _spheres_of(
-        found, obstacles.distances, body, at, rates, frames, middles
-    )
+    sphere, moment, thing, gap, motion = _spheres_of(found, obstacles.distances, travel)
     if (gap > motion).all():
         return _clear(moment, gap, motion)
     part = body.part[sphere]
 
     def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
-        found = part[rows], _pick(frames, body.part_links[part[rows]], moment[rows])
-        return body.hulls.from_obstacles(
-            *found, obstacles, thing[rows], at.scene[moment[rows]], margin
-        )
+        placed = travel.placed(part[rows], moment[rows])
+        scene = at.scene[moment[rows]]
+        return body.hulls.from_obstacles(part[rows], placed, obstacles, thing[rows], scene, margin)
 
     most = gap + body.slack[sphere]
-    of_part = _pick(rates.parts, part, at.motion[moment]) * at.share[moment] + _ROUNDING
     key = (moment * len(body.part_reach) + part) * len(obstacles.exists) + thing
-    return _looked_at_closely(moment, gap, motion, most, of_part, key, ask)
+    return _looked_at_closely(moment, gap, motion, most, travel.parts(part, moment), key, ask)
 
 
-def _gaps_to_clouds(
-    body: Spheres,
-    obstacles: Obstacles,
-    at: Moments,
-    rates: Rates,
-    frames: np.ndarray,
-    middles: np.ndarray,
-) -> Gaps:
+def _gaps_to_clouds(obstacles: Obstacles, travel: Travel) -> Gaps:
+    body, at = travel.body, travel.at
     link, moment = np.indices((len(body.moving), len(at.scene))).reshape(2, -1)
     found = _Links(body.moving[link], moment, np.zeros_like(moment))
 
     def distances(points: np.ndarray, thing: np.ndarray, scene: np.ndarray) -> np.ndarray:
         return obstacles.cloud_distances(points, scene)  # of a scene's only cloud
 
-    sphere, moment, _, gap, motion = _spheres_of(found, distances, body, at, rates, frames, middles)
+    sphere, moment, _, gap, motion = _spheres_of(found, distances, travel)
     if (gap > motion).all():
         return _clear(moment, gap, motion)
     part = body.part[sphere]
 
     def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
-        placed = _pick(frames, body.part_links[part[rows]], moment[rows])
+        placed = travel.placed(part[rows], moment[rows])
         scene = at.scene[moment[rows]]
         return body.hulls.from_clouds(part[rows], placed, obstacles, scene, margin)
 
     most = gap + body.slack[sphere]
-    of_part = _pick(rates.parts, part, at.motion[moment]) * at.share[moment] + _ROUNDING
     key = moment * len(body.part_reach) + part
-    return _looked_at_closely(moment, gap, motion, most, of_part, key, ask)
+    return _looked_at_closely(moment, gap, motion, most, travel.parts(part, moment), key, ask)
 
 
 class _Links(NamedTuple):
@@ -142,11 +108,7 @@ class _Links(NamedTuple):
 def _spheres_of(
     near: _Links,
     distances: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-    body: Spheres,
-    at: Moments,
-    rates: Rates,
-    frames: np.ndarray,
-    middles: np.ndarray,
+    travel: Travel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Every sphere of the links whose ball may come to touch the thing: its number, moment and
     thing, the gap between them, m, and how far it may move, m.
@@ -154,56 +116,50 @@ def _spheres_of(
     Args:
         near: links to be looked at.
         distances: of points `[3, N]` to things `[N]` of scenes `[N]`, m.
-        body: whose spheres they are.
-        at: the moments.
-        rates: of their motions.
-        frames: of its links, at the moments.
-        middles: of the balls around these.
+        travel: of the links at the moments.
     """
+    body, scene = travel.body, travel.at.scene
     link, moment, thing = near
-    reach = body.ball_radii[:, None] + _motion(rates.links, at)  # [L B]
-    apart = distances(_pick(middles, link, moment), thing, at.scene[moment])
-    left = ~(apart > _pick(reach, link, moment))
+    apart = distances(pick(travel.middles, link, moment), thing, scene[moment])
+    left = ~(apart > pick(travel.reach, link, moment))
     link, moment, thing = link[left], moment[left], thing[left]
     row, sphere = members(body.first[link], body.count[link])
     link, moment, thing = link[row], moment[row], thing[row]
-    points = place(_pick(frames, link, moment), body.centers[:, sphere])
-    gap = distances(points, thing, at.scene[moment]) - body.radii[sphere]
-    motion = _pick(rates.spheres, sphere, at.motion[moment]) * at.share[moment] + _ROUNDING
-    return sphere, moment, thing, gap, motion
+    points = place(pick(travel.frames, link, moment), body.centers[:, sphere])
+    gap = distances(points, thing, scene[moment]) - body.radii[sphere]
+    return sphere, moment, thing, gap, travel.spheres(sphere, moment, points)
 
 
-def _gaps_within(
-    body: Spheres, at: Moments, rates: Rates, frames: np.ndarray, middles: np.ndarray
-) -> Gaps:
-    a, b = body.link_pairs
-    reach = (body.ball_radii[a] + body.ball_radii[b])[:, None] + _motion(rates.link_pairs, at)
-    near = ~(sum_of_squares(middles[:, a] - middles[:, b]) > reach**2)  # [Q B]
+def _gaps_within(travel: Travel) -> Gaps:
+    body, (a, b) = travel.body, travel.body.link_pairs
+    reach = (body.ball_radii[a] + body.ball_radii[b])[:, None] + travel.link_pairs()
+    apart = sum_of_squares(travel.middles[:, a] - travel.middles[:, b])
+    near = ~(apart > reach**2)  # [Q B]
     couple, moment = np.unravel_index(np.flatnonzero(near), near.shape)
     row, pair = members(body.pair_first[couple], body.pair_count[couple])
     couple, moment = couple[row], moment[row]
     first, second = body.pairs[pair].T
     between = sum_of_squares(
-        place(_pick(frames, a[couple], moment), body.centers[:, first])
-        - place(_pick(frames, b[couple], moment), body.centers[:, second])
+        place(pick(travel.frames, a[couple], moment), body.centers[:, first])
+        - place(pick(travel.frames, b[couple], moment), body.centers[:, second])
     )
     gap = np.sqrt(between) - body.radii[first] - body.radii[second]
-    motion = _pick(rates.pairs, pair, at.motion[moment]) * at.share[moment] + _ROUNDING
+    motion = travel.pairs(pair, moment)
     if (gap > motion).all():
         return _clear(moment, gap, motion)
     part, other = body.part[first], body.part[second]
 
     def ask(rows: np.ndarray, margin: np.ndarray) -> np.ndarray:
-        both = (
-            (x[rows], _pick(frames, body.part_links[x[rows]], moment[rows])) for x in (part, other)
-        )
-        return body.hulls.from_parts(*next(both), *next(both), margin)
+        one, two = part[rows], other[rows]
+        placed, beside = (travel.placed(x, moment[rows]) for x in (one, two))
+        return body.hulls.from_parts(one, placed, two, beside, margin)
 
     number = body.part_pair[part, other]
     most = gap + body.slack[first] + body.slack[second]
-    of_parts = _pick(rates.part_pairs, number, at.motion[moment]) * at.share[moment] + _ROUNDING
     key = moment * max(1, len(body.part_pair_reach)) + number
-    return _looked_at_closely(moment, gap, motion, most, of_parts, key, ask)
+    return _looked_at_closely(
+        moment, gap, motion, most, travel.part_pairs(number, moment), key, ask
+    )
 
 
 def _clear(moment: np.ndarray, gap: np.ndarray, motion: np.ndarray) -> Gaps:
@@ -273,22 +229,12 @@ def clear_of_base(body: Spheres, obstacles: Obstacles) -> np.ndarray:
 def _base(body: Spheres) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centers `[3, F]`, radii `[F]` and bodies `[F]` of the spheres that no joint moves."""
     fixed = np.flatnonzero(~np.isin(body.link_of, body.moving))
-    frames = link_frames(body, body.robot.home[:, None])[:, :, body.link_of[fixed], 0]
+    frames = of_links(body, joint_frames(body, body.robot.home[:, None]))
+    frames = frames[:, :, body.link_of[fixed], 0]
     return place(frames, body.centers[:, fixed]), body.radii[fixed], body.bodies[fixed]
-
-
-def _pick(array: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Of an array `[..., L, B]` the places (row, column), `[..., N]`."""
-    *rest, rows, columns = array.shape
-    return array.reshape(*rest, rows * columns).take(row * columns + column, axis=-1)
 
 
 def members(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For groups of consecutive numbers: of which group each member is, and its number."""
     row = np.repeat(np.arange(len(count)), count)
     return row, np.arange(len(row)) + (first - np.cumsum(count) + count)[row]
-
-
-def _motion(rates: np.ndarray, at: Moments) -> np.ndarray:
-    """How far things move, of rates `[X, E]`, `[X, B]`."""
-    return rates.take(at.motion, axis=1) * at.share + _ROUNDING

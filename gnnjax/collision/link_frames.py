@@ -1,4 +1,4 @@
-"""Kinematics of the certificate, in NumPy and double precision, apart from the planning kernels.
+"""Where links are and how fast, for the certificate; in double precision, apart from the kernels.
 
 Arrays have their components first and what they are computed for last, see `obstacles.py`.
 """
@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gnnjax.collision.bounds import Spheres
+from gnnjax.collision.obstacles import cross
 
 
 class _Turns(NamedTuple):
@@ -27,11 +28,13 @@ class _Turns(NamedTuple):
     still: np.ndarray  # [3 4 K]; the components in the frame before come first
     by_sine: np.ndarray
     by_cosine: np.ndarray
+    axes: np.ndarray  # [3 K 1] in the frame behind the joint; of one that does nothing 0
+    anchors: np.ndarray  # [3 K 1] m
 
 
 @functools.cache
 def _turns_of(body: Spheres) -> _Turns:
-    before, index, slides, terms, last = [], [], [], [], []
+    before, index, slides, terms, last, lines = [], [], [], [], [], []
     for link in body.robot.bodies:
         at = last[link.parent] if link.parent >= 0 else -1
         position, rotation = link.position, link.rotation
@@ -46,6 +49,7 @@ def _turns_of(body: Spheres) -> _Turns:
                 by_sine[:, 3] = rotation @ joint.axis
                 slides.append(len(before))
             terms.append((still, by_sine, by_cosine))
+            lines.append(np.zeros((2, 3)) if joint is None else (joint.axis, joint.anchor))
             before.append(at)
             index.append(0 if joint is None else joint.index)
             at = len(before) - 1
@@ -55,11 +59,13 @@ def _turns_of(body: Spheres) -> _Turns:
     links = tuple(last[number] if number >= 0 else -1 for number in body.links.tolist())
     reference = body.robot.mj_model.qpos0[index]
     own = np.array(index), reference, np.array(slides, int)
-    return _Turns(tuple(before), links, *own, still, by_sine, by_cosine)
+    axes, anchors = np.moveaxis(np.array(lines), 0, 2)[..., None]
+    return _Turns(tuple(before), links, *own, still, by_sine, by_cosine, axes, anchors)
 
 
-def link_frames(body: Spheres, q: np.ndarray) -> np.ndarray:
-    """The axes and the origin of every link at q `[D, B]`, `[4, 3, L, B]`."""
+def joint_frames(body: Spheres, q: np.ndarray) -> np.ndarray:
+    """The axes and the origin of the frame behind each joint at q `[D, B]`, `[4, 3, K + 1, B]`;
+    the world's come last."""
     turns = _turns_of(body)
     value = q[turns.index] - turns.reference[:, None]
     sine, cosine = np.sin(value), 1 - np.cos(value)
@@ -76,7 +82,33 @@ def link_frames(body: Spheres, q: np.ndarray) -> np.ndarray:
         np.multiply(parent[:3, None], own[:, :, None, number], out=products)
         np.add.reduce(products, axis=0, out=frame)
         frame[3] += parent[3]
-    return frames.take(turns.last, axis=2)
+    return frames
+
+
+def of_links(body: Spheres, frames: np.ndarray) -> np.ndarray:
+    """What belongs to joints `[..., K + 1, B]` by link, `[..., L, B]`."""
+    return frames.take(_turns_of(body).last, axis=-2)
+
+
+def link_twists(body: Spheres, frames: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """How links turn (rad) and move (m; whatever of them is at the world's origin) where joints
+    move at rates `way` `[D, B]`, `[2, 3, L, B]`: their point p has the velocity turn x p + move.
+
+    Args:
+        body: the arm.
+        frames: its `joint_frames`.
+        way: rad or m, in whatever unit of time.
+    """
+    turns = _turns_of(body)
+    behind = frames[:, :, :-1]
+    twists = np.zeros((2, *frames.shape[1:]))
+    turning = twists[0, :, :-1] = _along(behind, turns.axes) * way[turns.index]
+    twists[1, :, :-1] = cross(place(behind, turns.anchors), turning)
+    twists[1, :, turns.slides] = turning[:, turns.slides].swapaxes(0, 1)
+    twists[0, :, turns.slides] = 0
+    for number, before in enumerate(turns.before):
+        twists[:, :, number] += twists[:, :, before]
+    return of_links(body, twists)
 
 
 def _along(axes: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -87,6 +119,12 @@ def _along(axes: np.ndarray, point: np.ndarray) -> np.ndarray:
 def place(frames: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Points in the world, of points in frames `[4, 3, ...]`."""
     return frames[3] + _along(frames, point)
+
+
+def pick(array: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Of an array `[..., L, B]` the places (row, column), `[..., N]`."""
+    *rest, rows, columns = array.shape
+    return array.reshape(*rest, rows * columns).take(row * columns + column, axis=-1)
 
 
 _WORLD = np.concatenate([np.eye(3), np.zeros((1, 3))])[..., None]

@@ -239,6 +239,11 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Products of vectors of three components, which come first."""
+    return np.stack([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
+
+
 def sum_of_squares(parts: np.ndarray | list[np.ndarray]) -> np.ndarray:
     """Of the components of vectors, which come first."""
     total = parts[0] * parts[0]
