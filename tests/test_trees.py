@@ -9,6 +9,7 @@ from gnnjax.collision.certify import certify_path
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import clearances
 from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.planning import trees
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Progress
@@ -129,6 +130,20 @@ def test_no_time_grows_nothing(robot, strategy, tester, problems):
     progress, _ = grown(robot, strategy, tester, problems, time_limit=-1.0)
     assert all(path is None for path in progress.paths)
     assert not progress.rounds.any()
+
+
+def test_the_nearest_nodes_are_those_of_all_distances(monkeypatch):
+    rng = np.random.default_rng(8)
+    nodes, q = (rng.normal(size=(n, 7)).astype(np.float32) for n in (90, 12))
+    tree = Tree(nodes[:2], room=100)
+    for number, row in enumerate(np.repeat([0, 1], [60, 28])):
+        tree.add(int(row), 0, nodes[2 + number, None])
+    of = [[0, *range(2, 62)], [1, *range(62, 90)]]
+    wanted = [np.linalg.norm(nodes[rows] - q[:, None], axis=-1).argmin(axis=1) for rows in of]
+    both = np.stack([q, q])
+    np.testing.assert_array_equal(tree.nearest(np.arange(2), both), wanted)
+    monkeypatch.setattr(trees, "_PRODUCT", 7 * 12 * 8)  # blocks of eight nodes
+    np.testing.assert_array_equal(tree.nearest(np.array([1, 0]), both), wanted[::-1])
 
 
 def test_a_full_tree_stays_as_it_is():

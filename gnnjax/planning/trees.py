@@ -24,6 +24,9 @@ DRAWN = int(_CHOICES.sum())  # branches that could be tried in a round
 _STEP = 0.5  # configuration units of a branch's edges
 _LONGEST = 4, 16  # edges of a branch, of the first tree and the other
 _ROOM = 64  # nodes a round and tree; where there is none left, a tree stays as it is
+# Multiplications of a product of matrices; of more, libraries wake other cores, which takes longer
+# than the product.
+_PRODUCT = 1 << 18
 
 
 class Tree:
@@ -33,24 +36,32 @@ class Tree:
         num, num_dof = roots.shape
         self.nodes = np.full((num, room, num_dof), np.inf, np.float32)
         self.nodes[:, 0] = roots
+        self.halves = np.full((num, room), np.inf, np.float32)  # of squared lengths of nodes
+        self.halves[:, 0] = _half_squared(roots)
         self.parents = np.zeros((num, room), int)
         self.count = np.ones(num, int)
 
     def nearest(self, rows: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Of some problems, which nodes `[R G]` are nearest to q `[R G D]`."""
         found = np.zeros(q.shape[:2], int)
+        block = max(1, _PRODUCT // q[0].size)
         for at, row in enumerate(rows.tolist()):
-            apart = self.nodes[row, : self.count[row]] - q[at, :, None]
-            found[at] = np.einsum("gnd,gnd->gn", apart, apart).argmin(axis=1)
+            count, nodes = self.count[row], self.nodes[row]
+            # What half the squared distances are, but for that of q from the origin.
+            far = np.empty((len(q[at]), count), np.float32)
+            for first in range(0, count, block):
+                some = slice(first, min(first + block, count))
+                far[:, some] = self.halves[row, some] - q[at] @ nodes[some].T
+            found[at] = far.argmin(axis=1)
         return found
 
     def add(self, row: int, parent: int, branch: np.ndarray) -> int:
         """Adds configurations one after the other; returns the last, or where there was no room."""
-        for q in branch:
+        for q, half in zip(branch, _half_squared(branch), strict=True):
             at = int(self.count[row])
             if at == self.nodes.shape[1]:
                 return parent
-            self.nodes[row, at], self.parents[row, at] = q, parent
+            self.nodes[row, at], self.halves[row, at], self.parents[row, at] = q, half, parent
             self.count[row], parent = at + 1, at
         return parent
 
@@ -61,6 +72,10 @@ class Tree:
             node = int(self.parents[row, node])
             found.append(self.nodes[row, node])
         return found
+
+
+def _half_squared(q: np.ndarray) -> np.ndarray:
+    return np.einsum("nd,nd->n", q, q) / 2
 
 
 class Outlook:
