@@ -132,7 +132,7 @@ def test_paths_are_certified_and_counts_add_up(robot, problems, plans):
 def test_a_planner_that_nobody_holds_is_freed_with_all_that_it_compiled(robot, network, problems):
     planner = make(robot, network)
     assert planner.plan_batch(jax.tree.map(lambda x: x[:1], problems))[0].roadmaps == 1
-    kept = [planner, planner.strategy, planner._tester(True), planner.strategy.judge]
+    kept = [planner, planner.strategy, planner._tester(True), planner.strategy.looks.edges]
     names = [type(x).__name__ for x in kept]
     kept = [weakref.ref(x) for x in kept]
     del planner
@@ -200,7 +200,7 @@ def test_a_path_is_found_wherever_the_roadmap_has_one(robot, planner, monkeypatc
 
 def test_other_weights_take_effect_and_nothing_is_compiled_again(planner, network, problems, plans):
     strategy = planner.strategy
-    functions = [strategy._first, strategy._later, strategy.judge, strategy.shortcuts]
+    functions = [strategy._first, strategy._later, strategy.looks.edges, strategy.looks.shortcuts]
     sizes = [f._cache_size() for f in functions]
     other = MotionNetwork(network.num_points, network.channels, rngs=nnx.Rngs(7))
     planner.use_weights(nnx.state(other))

@@ -57,7 +57,7 @@ trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajec
 trajectory.clearance trajectory.timing trajectory.batches trajectory.needs trajectory.jerk
 trajectory.moves trajectory.trajectory trajectory.states trajectory.files
 planning.options planning.query planning.goals planning.motions planning.progress
-planning.strategy planning.walks planning.guided planning.pool planning.shortening
+planning.strategy planning.walks planning.looks planning.guided planning.pool planning.shortening
 planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.execution

@@ -212,7 +212,7 @@ class Attempts(Progress):
             starts, ends = host.points[at], host.points[at[0], np.minimum(at[1] + 1, last)]
             readings = self.clock.call(take, pool.reading, padded)
             found = self.clock.call(
-                self.strategy.judge,
+                self.strategy.looks.edges,
                 self.strategy.weights,
                 readings,
                 starts,

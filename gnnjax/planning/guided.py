@@ -1,4 +1,4 @@
-"""The default planner's roadmaps and shortcuts, in the eyes of a guide."""
+"""The default planner's roadmaps, in the eyes of a guide."""
 
 import functools
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from gnnjax.errors import InputError
 from gnnjax.guide.guide import RISK_WEIGHT, Guide
 from gnnjax.kept import keep
 from gnnjax.per_object import per_object
+from gnnjax.planning.looks import EDGE_PIECES, LOCAL_PIECES, Looks
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius
@@ -27,13 +28,10 @@ from gnnjax.roadmap.stored import (
     insert_ends,
     stored_roadmap,
 )
-from gnnjax.scene.scene import Scene, without_meant
 from gnnjax.search.knowledge import UNKNOWN, ends_known
 from gnnjax.search.rounds import Priced, keep_cheapest
-from gnnjax.search.shorten import PATH_POINTS, shortened, spread_along
+from gnnjax.search.shorten import PATH_POINTS
 
-# Most pieces that a motion is looked at in; the longest edge is that from start to goal.
-EDGE_PIECES, SHORTCUT_PIECES, LOCAL_PIECES = 16, 12, 6
 JUDGED = 16  # edges of a path that are looked at in a round
 
 # nats; a roadmap whose best path is less likely to be free than e^-this waits until others were
@@ -55,7 +53,7 @@ class Entered(NamedTuple):
 
 
 class Guided:
-    """Roadmaps nobody has checked, and shortcuts in them, priced by a guide.
+    """Roadmaps nobody has checked, priced by a guide.
 
     Functions are for B problems, of which the first `num` count.
     """
@@ -72,6 +70,7 @@ class Guided:
                 f"num_nodes is {num_nodes}; planner 'guided' needs at least {PATH_POINTS}"
             )
         self.robot, self.guide, self.options = robot, guide, options
+        self.looks = Looks(guide)
         self.weights, self.shorten = guide.weights, options.shorten
         wide = int(np.clip(num_nodes, *_WIDE_NODES))
         self._sizes = num_nodes, wide
@@ -142,7 +141,7 @@ class Guided:
         """Roadmaps of nodes that are tested, like those of other planners."""
 
         def one(problem: Problem) -> tuple[Roadmap, jax.Array, Any, jax.Array]:
-            reading = self.guide.read(weights, without_meant(problem.scene))
+            reading = self.looks.read_one(weights, problem.scene)
             motions = self.guide.prices(weights, reading).motions
             sampled = sample_roadmap(
                 key,
@@ -166,7 +165,7 @@ class Guided:
 
         def with_ends(problem: Problem) -> tuple[Roadmap, Any]:
             roadmap = insert_ends(stored, problem.start, problem.goal, self.radius)
-            return roadmap, guide.read(weights, without_meant(problem.scene))
+            return roadmap, self.looks.read_one(weights, problem.scene)
 
         roadmaps, readings = map_first(with_ends, num, problems)
         if guide.stored is None:
@@ -206,9 +205,7 @@ class Guided:
         guide = self.guide
         limits = self.robot.joint_lower, self.robot.joint_upper
         num_special, (num_stored, num_slots) = 2 + 2 * NUM_LOCAL, stored.neighbors.shape
-        readings = map_first(
-            lambda scene: guide.read(weights, without_meant(scene)), num, problems.scene
-        )
+        readings = map_first(lambda x: self.looks.read_one(weights, x), num, problems.scene)
         if guide.stored is None:
 
             def every(reading: Any) -> jax.Array:
@@ -269,41 +266,3 @@ class Guided:
         priced = Priced(roadmaps, RISK_WEIGHT * price, judged_edges, known._replace(status=status))
         # On checked nodes searches are compared, so that all of them need all edges.
         return priced if nodes_checked else jax.vmap(lambda x: keep_cheapest(x, _SLOTS))(priced)
-
-    @per_object(keep)
-    def judge(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
-        """Prices of motions `[B E]`, rad."""
-        return RISK_WEIGHT * self._prices(weights, readings, starts, ends, num, EDGE_PIECES)
-
-    @per_object(keep)
-    def branches(self, weights, readings, starts: jax.Array, ends: jax.Array, num) -> jax.Array:
-        """Prices of short motions `[B E]`, nats."""
-        return self._prices(weights, readings, starts, ends, num, LOCAL_PIECES)
-
-    @per_object(keep)
-    def read(self, weights, scenes: Scene, num) -> Any:
-        """What the guide reads of scenes `[B]`."""
-        return map_first(lambda x: self.guide.read(weights, without_meant(x)), num, scenes)
-
-    def _prices(self, weights, readings, starts, ends, num, pieces: int) -> jax.Array:
-        def one(turn: tuple[Any, jax.Array, jax.Array]) -> jax.Array:
-            reading, starts, ends = turn
-            return self.guide.prices(weights, reading).motions(starts, ends, pieces)
-
-        return map_first(one, num, (readings, starts, ends))
-
-    @per_object(keep)
-    def shortcuts(self, weights, readings, lines: jax.Array, num) -> tuple[jax.Array, jax.Array]:
-        """Points `[B V D]` of paths `[B N D]` that are shortened in the guide's eyes, and prices
-        `[B V V]` of the motions between them, rad."""
-
-        def one(turn: tuple[Any, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            reading, line = turn
-            motions = self.guide.prices(weights, reading).motions
-            roadmap, price = shortened(
-                spread_along(line, PATH_POINTS),
-                lambda a, b: RISK_WEIGHT * motions(a, b, SHORTCUT_PIECES),
-            )
-            return roadmap.nodes, price
-
-        return map_first(one, num, (readings, lines))

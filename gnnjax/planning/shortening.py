@@ -78,7 +78,7 @@ class Shortener:
         for part, padded in in_chunks(rows, self.chunk):
             readings = clock.call(take, pool.reading, padded)
             found = clock.call(
-                self.strategy.shortcuts,
+                self.strategy.looks.shortcuts,
                 self.strategy.weights,
                 readings,
                 host.points[padded],

@@ -94,7 +94,7 @@ class Outlook:
             some = jax.tree.map(lambda x, at=padded: x[at], scenes)
             num = len(part)
             own = strategy.weights, some, np.int32(num)
-            found = self._clock.call(strategy.read, *own)
+            found = self._clock.call(strategy.looks.read, *own)
             parts.append(jax.tree.map(lambda x, n=num: np.asarray(x)[:n], found))
         self._readings = jax.tree.map(lambda *x: np.concatenate(x), *parts)
 
@@ -104,7 +104,7 @@ class Outlook:
         for part, padded in in_chunks(np.arange(len(rows)), self._chunk):
             readings = jax.tree.map(lambda x, at=rows[padded]: x[at], self._readings)
             own = self._strategy.weights, readings, starts[padded], ends[padded]
-            price = self._clock.call(self._strategy.branches, *own, np.int32(len(part)))
+            price = self._clock.call(self._strategy.looks.branches, *own, np.int32(len(part)))
             found.append(np.asarray(price)[: len(part)])
         return np.concatenate(found)
 

@@ -7,7 +7,8 @@ import jax
 import numpy as np
 
 from gnnjax.errors import InputError
-from gnnjax.planning.guided import EDGE_PIECES, Guided
+from gnnjax.planning.guided import Guided
+from gnnjax.planning.looks import EDGE_PIECES
 from gnnjax.planning.planner import Planner
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.roadmap.paths import for_each_edge
