@@ -45,7 +45,7 @@ collision.obstacles collision.hulls collision.bounds collision.link_frames
 collision.fused collision.mjx collision.points collision.cloud collision.edges
 collision.stretches collision.checker collision.blocks collision.one_call collision.sequences
 collision.travel collision.gaps collision.certify collision.clearances collision.margins
-roadmap.graph roadmap.sampled roadmap.paths roadmap.sobol roadmap.stored
+roadmap.graph roadmap.sampled roadmap.paths roadmap.smallest roadmap.sobol roadmap.stored
 plot
 pose.goal pose.chain pose.solver pose.inverse pose.reasons
 guide.guide guide.view guide.motion guide.field guide.rest

@@ -14,6 +14,7 @@ from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.problems.labelled import label_roadmap
 from gnnjax.roadmap.graph import connect, radius_for_degree, reverse_slots
 from gnnjax.roadmap.paths import cost_to_go, edge_validity, for_each_edge
+from gnnjax.roadmap.smallest import smallest
 
 jitted_connect, jitted_reverse = jax.jit(connect, static_argnums=3), jax.jit(reverse_slots)
 
@@ -174,3 +175,22 @@ def test_a_value_of_each_edge_agrees_with_a_loop(block):
     for i, k in zip(*np.nonzero(np.asarray(roadmap.neighbor_mask)), strict=True):
         expected[i, k] = nodes[i] @ nodes[roadmap.neighbors[i, k]] + 1.0
     np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_the_smallest_of_rows_are_those_of_top_k(batched):
+    rng = np.random.default_rng(0)
+    values = rng.integers(0, 9, (3, 40, 13)).astype(np.float32)  # many of them equal
+    values[rng.random(values.shape) < 0.4] = np.inf
+    values[:, 0] = np.inf
+    values = jnp.asarray(values if batched else values[0])
+    found, at = (jax.vmap(smallest, (0, None)) if batched else smallest)(values, 8)
+    negative, wanted = jax.lax.top_k(-values, 8)
+    np.testing.assert_array_equal(at, wanted)
+    np.testing.assert_array_equal(found, -negative)
+
+
+def test_what_is_not_a_number_is_not_the_smallest():
+    found, at = smallest(jnp.array([[jnp.nan, 2.0, 1.0]]), 2)
+    assert found.tolist() == [[1, 2]]
+    assert at.tolist() == [[2, 1]]

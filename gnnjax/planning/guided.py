@@ -156,7 +156,7 @@ class Guided:
             return sampled.roadmap, price, reading, sampled.num_checks
 
         roadmaps, price, readings, checks = map_first(one, num, problems)
-        priced = self._priced(roadmaps, price, straight, judged=True, nodes_checked=True)
+        priced = self._priced(roadmaps, price, straight, num, judged=True, nodes_checked=True)
         return Entered(priced, readings, checks)
 
     @per_object(keep)
@@ -197,7 +197,8 @@ class Guided:
                 return price
 
             price = map_first(joined, num, (roadmaps, readings, inner))
-        priced = self._priced(roadmaps, price, straight, judged=guide.stored is not None)
+        judged = guide.stored is not None
+        priced = self._priced(roadmaps, price, straight, num, judged=judged)
         return Entered(priced, readings, jnp.zeros(len(price), jnp.int32))
 
     @per_object(keep)
@@ -243,7 +244,7 @@ class Guided:
             return roadmap, price
 
         roadmaps, price = map_first(one, num, (problems, readings, inner))
-        priced = self._priced(roadmaps, price, straight, judged=True)
+        priced = self._priced(roadmaps, price, straight, num, judged=True)
         return Entered(priced, readings, jnp.zeros(len(price), jnp.int32))
 
     def _priced(
@@ -251,6 +252,7 @@ class Guided:
         roadmaps: Roadmap,
         price: jax.Array,
         straight: jax.Array,
+        num: jax.Array,
         *,
         judged: bool,
         nodes_checked: bool = False,
@@ -264,5 +266,6 @@ class Guided:
         )
         judged_edges = jnp.full(price.shape, judged)
         priced = Priced(roadmaps, RISK_WEIGHT * price, judged_edges, known._replace(status=status))
+        cheapest = functools.partial(keep_cheapest, num_slots=_SLOTS)
         # On checked nodes searches are compared, so that all of them need all edges.
-        return priced if nodes_checked else jax.vmap(lambda x: keep_cheapest(x, _SLOTS))(priced)
+        return priced if nodes_checked else map_first(cheapest, num, priced)

@@ -20,6 +20,7 @@ from gnnjax.collision.clearances import is_self_free
 from gnnjax.errors import InputError
 from gnnjax.kept import keep
 from gnnjax.roadmap.graph import GOAL, START, Roadmap, connect, default_radius, node_bucket
+from gnnjax.roadmap.smallest import smallest
 from gnnjax.roadmap.sobol import sobol_points
 
 _SLOTS = 32
@@ -156,11 +157,11 @@ def add_local_nodes(
     sides = [slice(2 + side * num_local, 2 + (side + 1) * num_local) for side in (0, 1)]
     to_stored, to_special = jnp.where(joined, far, jnp.inf), []
     for side in sides:
-        negative, taken = jax.lax.top_k(-to_stored[side].T, _NEAR_STORED)  # [N R]
+        nearest, taken = smallest(to_stored[side].T, _NEAR_STORED)  # [N R]
         kept = jnp.full((num_stored, num_local), jnp.inf)
-        kept = kept.at[jnp.arange(num_stored)[:, None], taken].set(-negative)
+        kept = kept.at[jnp.arange(num_stored)[:, None], taken].set(nearest)
         to_stored = to_stored.at[side].set(kept.T)
-        to_special.append((taken + side.start, -negative))
+        to_special.append((taken + side.start, nearest))
     within = jnp.linalg.norm(local[:, :, None] - local[:, None], axis=-1)  # [2 L L]
     within = jnp.where(
         is_new[:, :, None] & is_new[:, None] & ~jnp.eye(num_local, dtype=bool), within, jnp.inf
@@ -228,6 +229,8 @@ def _choose_local(
     """Configurations around both ends: the first that are likely free, then the likeliest."""
     drawn = jnp.clip(ends[:, None] + offsets, *(jnp.asarray(limit) for limit in limits))
     prices = price(drawn.reshape(-1, ends.shape[1])).reshape(drawn.shape[:2])
+    # Or the compiler merges the prices with what is made of them, and takes twelve times as long.
+    prices = jax.lax.optimization_barrier(prices)
     order = jnp.arange(drawn.shape[1]) / drawn.shape[1]
     rank = jnp.where(prices > jnp.log(2.0), 1.0 + prices, order)
     chosen = jax.lax.top_k(-rank, NUM_LOCAL)[1][..., None]
@@ -250,6 +253,6 @@ def _differs_from_earlier(
 def _nearest(far: Float[Array, "A B"], count: Int[Array, " A"]) -> Bool[Array, "A B"]:
     """Marks the nearest `count` of each row; infinite ones never."""
     most = min(max(_NEAR_ENDS, _NEAR_NODES, _NEAR_LOCAL), far.shape[1])
-    negative = jax.lax.top_k(-far, most)[0]
-    last = jnp.take_along_axis(-negative, jnp.minimum(count, most)[:, None] - 1, axis=1)
+    nearest, _ = smallest(far, most)
+    last = jnp.take_along_axis(nearest, jnp.minimum(count, most)[:, None] - 1, axis=1)
     return (far <= last) & jnp.isfinite(far)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8
 
 from gnnjax.roadmap.graph import GOAL, START, Roadmap
 from gnnjax.roadmap.paths import cost_to_go, follow, next_slots
+from gnnjax.roadmap.smallest import smallest
 from gnnjax.search.knowledge import INVALID, UNKNOWN, Knowledge
 
 MOST_STEPS = 128  # nodes of a path that is found; cheapest paths have a tenth
@@ -53,7 +54,7 @@ def keep_cheapest(priced: Priced, num_slots: int) -> Priced:
     blocked = ~roadmap.neighbor_mask | (status == INVALID)
     cost = jnp.where(blocked, jnp.inf, roadmap.lengths + priced.price)
     # Behind a barrier, as in `connect_where`.
-    _, kept = jax.lax.optimization_barrier(jax.lax.top_k(-cost, min(num_slots, cost.shape[1])))
+    _, kept = jax.lax.optimization_barrier(smallest(cost, min(num_slots, cost.shape[1])))
 
     def take(x: jax.Array) -> jax.Array:
         return jnp.take_along_axis(x, kept, axis=1)
