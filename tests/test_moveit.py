@@ -537,7 +537,7 @@ def test_what_is_attached_is_held(tmp_path, tiny_path, message, request_message,
 
 
 def test_a_motion_of_what_a_request_has_attached_is_carried_out(
-    tmp_path, tiny_path, request_message
+    tmp_path, tiny_path, request_message, capsys
 ):
     robot, file = load_robot(tiny_path), tmp_path / "motion.json"
     request_message["start_state"]["attached_collision_objects"] = [attached()]
@@ -554,8 +554,13 @@ def test_a_motion_of_what_a_request_has_attached_is_carried_out(
         torque=(40.0, 40.0, 20.0),
     )
     assert main(config) == 0
-    with pytest.raises(InputError, match=r"not of tiny; name .* what it held \(--attach, or --req"):
-        main(dataclasses.replace(config, request=None))
+    assert "says, lower holds" not in capsys.readouterr().out
+    assert main(dataclasses.replace(config, request=None)) == 0  # the file tells
+    assert "motion.json says, lower holds held_cylinder_0, 0.5 kg" in capsys.readouterr().out
+    request_message["start_state"]["attached_collision_objects"][0]["weight"] = 0.4
+    other = dataclasses.replace(config, request=written(tmp_path, request_message, "other.yaml"))
+    with pytest.raises(InputError, match=r"not of tiny_hold.* what it held \(--attach, or --req"):
+        main(other)
     with pytest.raises(InputError, match=r"--request needs a planning scene of MoveIt"):
         main(dataclasses.replace(config, scene=tmp_path / "scene.json"))
 

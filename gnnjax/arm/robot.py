@@ -25,6 +25,7 @@ from gnnjax.arm.bodies import Body, read_body
 from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
 from gnnjax.arm.covers import cover_file, cover_parts, pairs_of_rows
 from gnnjax.arm.joints import joint_name
+from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
@@ -70,6 +71,7 @@ class Robot:
     geom_inner_radii: np.ndarray  # [G] m, of what lies inside the part; not above 0: the centre is
     # outside of it
     self_pairs: np.ndarray  # [S 2] indices of rows of `part_pairs`
+    loads: tuple[Load, ...]  # what it holds, in the order of `attach`
     notes: tuple[str, ...]  # what was decided where the file leaves it open
 
     def __getstate__(self) -> dict[str, Any]:
@@ -293,5 +295,6 @@ def _robot_of(
         geom_radii=rows.radii,
         geom_inner_radii=rows.inner_radii,
         self_pairs=pairs_of_rows(rows.parts, pairs),
+        loads=(),
         notes=notes,
     )
