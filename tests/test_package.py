@@ -52,7 +52,8 @@ guide.guide guide.view guide.motion guide.field guide.rest
 search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.camera
 problems.structures problems.shelves problems.furniture problems.clutter problems.families
-problems.family_problem problems.labelled problems.moveit
+problems.family_problem problems.labelled problems.moveit_names
+problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
 trajectory.clearance trajectory.timing trajectory.batches trajectory.needs trajectory.jerk
 trajectory.moves trajectory.trajectory trajectory.states trajectory.files
