@@ -158,6 +158,41 @@ def test_joints_and_bodies_that_do_not_fit_are_refused(tmp_path, settings, messa
         load_robot(written(tmp_path), **settings)
 
 
+PULLED = TENDON.partition("<equality>")[0] + '<actuator><position tendon="grip"/></actuator>'
+
+
+@pytest.mark.parametrize(
+    ("coupling", "settings", "message"),
+    [
+        (
+            TENDON,
+            {"joints": ["turn", "left"]},
+            "'left' of .* is coupled to 'right', which planning",
+        ),
+        (LOOP, {"joints": ["right"]}, "'right' of .* is coupled to 'left', which planning would"),
+        (PULLED, {"joints": ["right"]}, "'right' of .* is coupled to 'left', which planning would"),
+        (TENDON, {"joints": ["left", "right"]}, "'left' and 'right' of .* are tied by an equality"),
+        (LOOP, {"joints": ["turn", "left", "right"]}, "tied by .*; plan for one of them at most"),
+        (PULLED, {"joints": ["left", "right"]}, None),
+        (TENDON, {"joints": ["left"], "hold": {"right": 0.01}}, None),
+        (TENDON, {"hold": {"left": 0.01}}, "'left' of .* to be held and is tied to 'right', which"),
+        (LOOP, {"hold": {"left": 0.01, "right": 0.01}}, None),
+        (PULLED, {"hold": {"left": 0.01}}, None),
+        (TENDON + EQUALITY, {"hold": {"left": 0.01}}, None),  # which says where the other one is
+        (TENDON + EQUALITY, {"hold": {"right": 0.01}}, "'right' of .* tied to 'left', which would"),
+    ],
+)
+def test_what_a_tendon_or_a_loop_moves_along_is_not_planned_for_where_it_was(
+    tmp_path, coupling, settings, message
+):
+    path = written(tmp_path, coupling)
+    if message is None:
+        assert load_robot(path, **settings).num_dof == len(settings.get("joints", "tbs"))
+        return
+    with pytest.raises(InputError, match=message):
+        load_robot(path, **settings)
+
+
 def test_a_joint_without_limits_gets_half_a_turn_either_way(tmp_path, caplog):
     path = written(tmp_path, change=lambda text: text.replace("0.1 0.5 0.02", "3.5 0.5 0.02"))
     robot = load_robot(path)
