@@ -8,6 +8,7 @@ import pytest
 
 from gnnjax.arm.robot import assets_dir, load_robot
 from gnnjax.errors import InputError
+from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.own_points import distances_to_hull
 
 GRIPPER = """
@@ -131,6 +132,48 @@ def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(t
     path.write_text(path.read_text().replace('"-2 2"', '"-2.5 2"'))
     edited = load_robot(path, joints=["turn", "bend"], hold={"slip": 0.0}, allow=[("arm", "left")])
     assert (edited.joint_lower != first.joint_lower).any()
+
+
+WEDGE = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4"
+MESHED = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="wedge" file="wedge.obj"/></asset>
+<worldbody><body name="base"><body name="arm"><joint range="-90 90"/>
+<geom type="mesh" mesh="wedge"/></body></body></worldbody></mujoco>"""
+
+
+def meshed(folder, how):
+    """The file of an arm with a mesh, which itself, a file that it includes, or one that is
+    attached names, and that of the mesh."""
+    (folder / "inner" / "meshes").mkdir(parents=True)
+    inner = folder / "inner" / "arm.xml"
+    path = {"file": inner}.get(how, folder / "arm.xml")
+    inner.write_text(MESHED)
+    if how == "include":
+        path.write_text('<mujoco><include file="inner/arm.xml"/></mujoco>')
+        bare = MESHED.replace('<compiler meshdir="meshes"/>', "")
+        inner.write_text(bare.replace("wedge.obj", "meshes/wedge.obj"))
+    if how == "model":
+        model = '<asset><model name="other" file="inner/arm.xml"/></asset>'
+        attached = '<attach model="other" body="base" prefix="its_"/>'
+        path.write_text(f"<mujoco>{model}<worldbody>{attached}</worldbody></mujoco>")
+    mesh = folder / "inner" / "meshes" / "wedge.obj"
+    mesh.write_text(WEDGE)
+    return path, mesh
+
+
+@pytest.mark.parametrize("how", ["file", "include", "model"])
+def test_meshes_of_an_mjcf_are_whole_and_read_anew_once_edited(tmp_path, how):
+    path, mesh = meshed(tmp_path, how)
+    first = load_robot(path)
+    assert load_robot(path) is first
+    mesh.write_text(WEDGE.replace("v .1 0 0", "v .25 0 0"))
+    assert load_robot(path).parts[0].vertices.max() == pytest.approx(0.25)
+    inner = tmp_path / "inner" / "arm.xml"
+    inner.write_text(inner.read_text().replace("-90 90", "-60 90"))
+    assert load_robot(path).joint_lower[0] == pytest.approx(-np.pi / 3)
+    mesh.write_text(WEDGE[:-2])
+    for read in (load_robot, scene_from_mjcf):
+        with pytest.raises(InputError, match=r"wedge.obj' of .*arm.xml' ends too early; export it"):
+            read(path)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ ORDER = """
 interruption notice errors arguments per_object files devices clock digest surroundings
 memory_maps kept
 roll_call cluster
-arm.parts arm.bodies arm.hulls arm.couplings arm.joints arm.mjcf arm.mesh_files arm.urdf
+arm.parts arm.bodies arm.hulls arm.couplings arm.joints arm.mjcf arm.mesh_files arm.urdf arm.sources
 arm.contacts arm.load
 arm.reading arm.fit arm.blocks arm.covers arm.robot arm.kinematics arm.transforms arm.torques
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
