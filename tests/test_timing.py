@@ -19,7 +19,7 @@ from gnnjax.trajectory.execution import execute_trajectory
 from gnnjax.trajectory.jerk import Profile
 from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
 from gnnjax.trajectory.smooth import Smoothed
-from gnnjax.trajectory.states import largest_use, sample_trajectory
+from gnnjax.trajectory.states import largest_use, movement, sample_trajectory
 from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
@@ -300,6 +300,9 @@ def test_a_motion_of_little_jerk_stops_where_that_is_faster_than_a_narrow_corner
     assert narrow.duration == pytest.approx(stopping.duration)
     assert narrow.stops == len(path) - 2
     assert narrow.cost == pytest.approx(narrow.cost_before)
+    # However near to a stop, the arm is on its side of the corner.
+    _, _, pushes = movement(stopping, np.arange(0, stopping.duration, 1e-5))
+    assert np.abs(np.diff(pushes, axis=0)).max() < 1e-5 * 80.0 * 1.001
     wide = time_path(free, NOTHING, path, **given)
     assert wide.stops == 0
     assert wide.duration < narrow.duration
