@@ -167,6 +167,7 @@ BROKEN = [
     ("json", changed(lambda x: x["points"][1].update(effort=[1.0])), "holds no motion"),
     ("json", changed(lambda x: x["points"][1].update(positions=[0, 9, 0])), "joint b at 9, beyond"),
     ("json", changed(lambda x: x.update(joint_names=["a", "b"])), "of an arm with the joints"),
+    ("json", changed(lambda x: x["gnnjax"].pop("robot")), "no entry 'robot'"),
     ("json", changed(lambda x: x["gnnjax"].update(held=["a ball"])), "the arm held is .'a ball'."),
     (
         "json",

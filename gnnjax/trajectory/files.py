@@ -204,8 +204,10 @@ def _from_json(path: Path) -> _Read:
     kinds = ("positions", "velocities", "accelerations", "effort")
     columns = (np.array([point[kind] for point in points], float) for kind in kinds)
     own = message.get("gnnjax", {})  # not in messages of others
-    loads = _loads(own.get("held", []))
-    return _Read(own.get("robot"), loads, message["joint_names"], Setpoints(times, *columns))
+    # Those of version 0.1 tell neither.
+    told = own.keys() & {"held"}
+    named, loads = (own["robot"], _loads(own["held"])) if told else (None, ())
+    return _Read(named, loads, message["joint_names"], Setpoints(times, *columns))
 
 
 def _held(robot: Robot) -> list[dict]:
