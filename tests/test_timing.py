@@ -71,9 +71,9 @@ def test_jerk_is_limited_and_all_else_too(free, blend, jerk):
     shares = [largest_use(free, limits, x) for x in found]
     assert max(shares) < 1.001
     assert min(shares) > 0.95
-    # However near to a stop, the arm is on its side of the corner.
-    _, _, pushes = movement(found[0], np.arange(0, found[0].duration, 1e-5))
-    assert (np.abs(np.diff(pushes, axis=0)) < 1.001e-5 * limits.jerk).all()
+    if not blend:  # however near to a stop, the arm is on its side of the corner
+        _, _, pushes = movement(found[0], np.arange(0, found[0].duration, 1e-5))
+        assert (np.abs(np.diff(pushes, axis=0)) < 1.001e-5 * limits.jerk).all()
     longer = [x.duration / x.timing.times[-1] for x in found]
     assert 1 < min(longer)
     assert max(longer) < (1.6 if jerk != 900 else 1.05)
