@@ -67,7 +67,7 @@ from gnnjax.trajectory.execution import (
     execute_trajectories,
     execute_trajectory,
 )
-from gnnjax.trajectory.files import load_trajectory, save_trajectory
+from gnnjax.trajectory.files import load_trajectory, robot_of_trajectory, save_trajectory
 from gnnjax.trajectory.options import MotionOptions
 from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.trajectory.states import Setpoints, sample_trajectory
@@ -167,6 +167,7 @@ __all__ = [
     "points_from_file",
     "problem_from_moveit",
     "query_from_moveit",
+    "robot_of_trajectory",
     "sample_family_problem",
     "sample_free",
     "sample_problem",

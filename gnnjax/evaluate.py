@@ -4,9 +4,8 @@
 
 `--figure guided.png` draws the summary, `--beside rrtc.json` those of other planners with it.
 
-A path that comes after the time limit is a failure, whatever the planner.
-
-Results are written as they come; the same command goes on where it was cut off.
+A path that comes after the time limit is a failure, whatever the planner. Results are written as
+they come; the same command goes on where it was cut off.
 
     srun python -m gnnjax.evaluate --distributed ...   # on many machines, see docs/cluster.md
 """
@@ -32,6 +31,7 @@ from gnnjax.measure.machine import describe_machine
 from gnnjax.measure.result_files import (
     FORMAT,
     RowFiles,
+    names_of,
     read_results,
     read_rows,
     write_results,
@@ -190,7 +190,8 @@ def _drawing(
         from gnnjax.measure.figure import draw_summary
         from gnnjax.plot import check_picture
     figure = check_picture(config.figure)
-    others = {path.stem: read_results(path, rows=False) for path in config.beside}
+    names = names_of([config.json, *config.beside])
+    others = {names[path]: read_results(path, rows=False) for path in config.beside}
     for name, other in others.items():
         theirs = {_CHECKSUM: settings[_CHECKSUM]} | other["settings"]
         if _CHECKSUM not in other["settings"]:
@@ -203,7 +204,7 @@ def _drawing(
                 )
 
     def draw(results: dict[str, Any]) -> None:
-        named = {config.json.stem: results} | others
+        named = {names[config.json]: results} | others
         titles = [title_of(each["settings"]) for each in named.values()]
         summaries = {
             f"{title} ({name})" if titles.count(title) > 1 else title: each["summary"]

@@ -21,7 +21,7 @@ from gnnjax.trajectory.execution import (
     execute_trajectory,
     motion_clearance,
 )
-from gnnjax.trajectory.files import load_trajectory
+from gnnjax.trajectory.files import load_trajectory, robot_of_trajectory
 from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.video import check_video, draw_video
 
@@ -34,14 +34,16 @@ class ExecuteConfig:
     """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt) or .xml (a
     MuJoCo model, less the robot in it)."""
     trajectory: Path
-    """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json)."""
+    """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json). What the
+    arm held is in it, but for a .csv."""
     request: Path | None = None
-    """MoveIt's motion plan request (.yaml) that was planned: the arm holds what it, or the scene,
-    has attached."""
+    """MoveIt's motion plan request (.yaml) that was planned, to read the scene as it was: the base
+    may stand where the request has it, and the arm holds what either has attached."""
     robot: str = "kuka_iiwa14"
     """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
-    """JSON file with what the arm holds, as for planning; the controller knows its mass."""
+    """JSON file with what the arm holds, as for planning, where the motion does not tell; the
+    controller knows its mass."""
     controller: str = "computed_torque"
     """computed_torque (the model's torques for the motion, and a spring and damper for errors), or
     position (servos with velocity damping, and the model's weight)."""
@@ -73,11 +75,16 @@ def main(config: ExecuteConfig) -> int:
         (config.scene, config.trajectory, config.request, config.attach, config.robot),
     )
     robot = load_arm(config.robot, config.attach)
-    if config.request is None:
-        scene = read_scene(config.scene, robot)
-    else:
+    scene = None
+    if config.request is not None:
         robot, (_, _, scene) = read_request(config.scene, config.request, robot)
+    given = robot
+    robot = robot_of_trajectory(given, config.trajectory)
+    for note in robot.notes[len(given.notes) :]:
+        print(f"as {config.trajectory} says, {note}")
     points = load_trajectory(robot, config.trajectory)
+    if scene is None:
+        scene = read_scene(config.scene, robot)
     draw = None
     if config.figure is not None:
         with needs_extra("--figure", "viz"):

@@ -15,7 +15,7 @@ import tyro
 from gnnjax.arguments import parse_arguments
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_apart, check_target
-from gnnjax.measure.result_files import read_results
+from gnnjax.measure.result_files import names_of, read_results
 from gnnjax.measure.table import title_of
 
 # The tables of OMPL's ompl_benchmark_statistics.py (Moll, Sucan and Kavraki, 2015), which Planner
@@ -60,13 +60,14 @@ def planner_arena(config: ArenaConfig) -> Path:
     check_target(config.out)
     check_apart((config.out,), config.results)
     all_results = [read_results(path) for path in config.results]
-    stems = [path.stem for path in config.results]
-    names = _names([results["settings"] for results in all_results], stems)
+    files = names_of(config.results)
+    called = [files[path] for path in config.results]
+    names = _names([results["settings"] for results in all_results], called)
     atomic_write(config.out, lambda file: _write(file, all_results, names))
     return config.out
 
 
-def _names(all_settings: list[dict[str, Any]], stems: list[str]) -> list[str]:
+def _names(all_settings: list[dict[str, Any]], files: list[str]) -> list[str]:
     """What planners are called: runs of one name are taken for one planner's, whatever its seed."""
     titles = [title_of(settings) for settings in all_settings]
     apart = {
@@ -78,8 +79,8 @@ def _names(all_settings: list[dict[str, Any]], stems: list[str]) -> list[str]:
         all(theirs == mine for theirs, other in zip(own, titles, strict=True) if other == title)
         for mine, title in zip(own, titles, strict=True)
     ]
-    named = zip(titles, stems, alike, strict=True)
-    return [title if same else f"{title} ({stem})" for title, stem, same in named]
+    named = zip(titles, files, alike, strict=True)
+    return [title if same else f"{title} ({file})" for title, file, same in named]
 
 
 def _write(file: Path, all_results: list[dict[str, Any]], names: list[str]) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from gnnjax.arm.robot import assets_dir, load_robot
 from gnnjax.errors import InputError
+from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.own_points import distances_to_hull
 
 GRIPPER = """
@@ -133,6 +134,48 @@ def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(t
     assert (edited.joint_lower != first.joint_lower).any()
 
 
+WEDGE = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4"
+MESHED = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="wedge" file="wedge.obj"/></asset>
+<worldbody><body name="base"><body name="arm"><joint range="-90 90"/>
+<geom type="mesh" mesh="wedge"/></body></body></worldbody></mujoco>"""
+
+
+def meshed(folder, how):
+    """The file of an arm with a mesh, which itself, a file that it includes, or one that is
+    attached names, and that of the mesh."""
+    (folder / "inner" / "meshes").mkdir(parents=True)
+    inner = folder / "inner" / "arm.xml"
+    path = {"file": inner}.get(how, folder / "arm.xml")
+    inner.write_text(MESHED)
+    if how == "include":
+        path.write_text('<mujoco><include file="inner/arm.xml"/></mujoco>')
+        bare = MESHED.replace('<compiler meshdir="meshes"/>', "")
+        inner.write_text(bare.replace("wedge.obj", "meshes/wedge.obj"))
+    if how == "model":
+        model = '<asset><model name="other" file="inner/arm.xml"/></asset>'
+        attached = '<attach model="other" body="base" prefix="its_"/>'
+        path.write_text(f"<mujoco>{model}<worldbody>{attached}</worldbody></mujoco>")
+    mesh = folder / "inner" / "meshes" / "wedge.obj"
+    mesh.write_text(WEDGE)
+    return path, mesh
+
+
+@pytest.mark.parametrize("how", ["file", "include", "model"])
+def test_meshes_of_an_mjcf_are_whole_and_read_anew_once_edited(tmp_path, how):
+    path, mesh = meshed(tmp_path, how)
+    first = load_robot(path)
+    assert load_robot(path) is first
+    mesh.write_text(WEDGE.replace("v .1 0 0", "v .25 0 0"))
+    assert load_robot(path).parts[0].vertices.max() == pytest.approx(0.25)
+    inner = tmp_path / "inner" / "arm.xml"
+    inner.write_text(inner.read_text().replace("-90 90", "-60 90"))
+    assert load_robot(path).joint_lower[0] == pytest.approx(-np.pi / 3)
+    mesh.write_text(WEDGE[:-2])
+    for read in (load_robot, scene_from_mjcf):
+        with pytest.raises(InputError, match=r"wedge.obj' of .*arm.xml' ends too early; export it"):
+            read(path)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -156,6 +199,41 @@ def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(t
 def test_joints_and_bodies_that_do_not_fit_are_refused(tmp_path, settings, message):
     with pytest.raises(InputError, match=message):
         load_robot(written(tmp_path), **settings)
+
+
+PULLED = TENDON.partition("<equality>")[0] + '<actuator><position tendon="grip"/></actuator>'
+
+
+@pytest.mark.parametrize(
+    ("coupling", "settings", "message"),
+    [
+        (
+            TENDON,
+            {"joints": ["turn", "left"]},
+            "'left' of .* is coupled to 'right', which planning",
+        ),
+        (LOOP, {"joints": ["right"]}, "'right' of .* is coupled to 'left', which planning would"),
+        (PULLED, {"joints": ["right"]}, "'right' of .* is coupled to 'left', which planning would"),
+        (TENDON, {"joints": ["left", "right"]}, "'left' and 'right' of .* are tied by an equality"),
+        (LOOP, {"joints": ["turn", "left", "right"]}, "tied by .*; plan for one of them at most"),
+        (PULLED, {"joints": ["left", "right"]}, None),
+        (TENDON, {"joints": ["left"], "hold": {"right": 0.01}}, None),
+        (TENDON, {"hold": {"left": 0.01}}, "'left' of .* to be held and is tied to 'right', which"),
+        (LOOP, {"hold": {"left": 0.01, "right": 0.01}}, None),
+        (PULLED, {"hold": {"left": 0.01}}, None),
+        (TENDON + EQUALITY, {"hold": {"left": 0.01}}, None),  # which says where the other one is
+        (TENDON + EQUALITY, {"hold": {"right": 0.01}}, "'right' of .* tied to 'left', which would"),
+    ],
+)
+def test_what_a_tendon_or_a_loop_moves_along_is_not_planned_for_where_it_was(
+    tmp_path, coupling, settings, message
+):
+    path = written(tmp_path, coupling)
+    if message is None:
+        assert load_robot(path, **settings).num_dof == len(settings.get("joints", "tbs"))
+        return
+    with pytest.raises(InputError, match=message):
+        load_robot(path, **settings)
 
 
 def test_a_joint_without_limits_gets_half_a_turn_either_way(tmp_path, caplog):

@@ -196,20 +196,24 @@ def test_a_run_that_was_cut_off_in_a_batch_comes_to_the_same_rows(
 
 
 def test_a_picture_shows_results_beside_those_of_others(tiny_path, problems, results, tmp_path):
-    for name in ("one", "other", "prm"):
+    (tmp_path / "b").mkdir()
+    for name in ("one", "other", "b/other", "prm"):
         changed = json.loads(json.dumps(results))
         changed["settings"]["planner"] = "prm" if name == "prm" else "lazysp"
         changed["summary"]["hard"]["cost"] = None  # nothing solved
         (tmp_path / f"{name}.json").write_text(json.dumps(changed))
     pictures = {"figure": tmp_path / "summary.svg"}
-    pictures["beside"] = tmp_path / "other.json", tmp_path / "prm.json"
+    others = ("other", "b/other", "prm")
+    pictures["beside"] = tuple(tmp_path / f"{name}.json" for name in others)
     found = evaluate(config(tiny_path, problems, tmp_path / "one.json", **pictures))
     assert found["problems"] == results["problems"]  # nothing was planned again
     assert "figure" not in found["settings"]
     # Matplotlib says in comments what it writes as outlines.
     words = (tmp_path / "summary.svg").read_text()
     solved = f"{100 * results['summary']['all']['success']:.1f}"
-    for title in ("lazysp, 40 nodes (one)", "lazysp, 40 nodes (other)", "prm, 40 nodes"):
+    of_one_name = f"{tmp_path.name}/other", "b/other"
+    titles = [f"lazysp, 40 nodes ({name})" for name in ("one", *of_one_name)]
+    for title in (*titles, "prm, 40 nodes"):
         assert words.count(f"<!-- {title} -->") == 2  # for each row of panels
     assert words.count(f"<!-- {solved} -->") >= 3
     assert "<!-- total time [ms] -->" in words

@@ -14,6 +14,7 @@ from gnnjax import load_robot, problem_from_moveit, query_from_moveit, scene_fro
 from gnnjax.errors import InputError
 from gnnjax.execute import ExecuteConfig, main
 from gnnjax.problems import moveit
+from gnnjax.problems.moveit_names import end_alike, prefix_of
 from gnnjax.scene.messages import read_message
 from gnnjax.scene.scene import Scene
 from gnnjax.scene.shapes import KINDS, cylinder, kind_of
@@ -399,8 +400,8 @@ def test_names_that_end_alike_are_the_same_joint(tmp_path, caplog):
     ],
 )
 def test_which_names_end_alike(joint, other, alike):
-    assert moveit._end_alike(joint, other) is alike
-    assert moveit._end_alike(other, joint) is alike
+    assert end_alike(joint, other) is alike
+    assert end_alike(other, joint) is alike
 
 
 def test_names_may_be_given(tmp_path, tiny_path, request_message):
@@ -486,6 +487,22 @@ def test_a_base_that_only_the_request_places_counts(tmp_path, tiny_path, message
     np.testing.assert_allclose(there.centers[:3], here.centers[:3] - [0, 0, 1], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("own", "other", "prefix"),
+    [
+        ("link_7", "panda_link7", ("panda", "")),
+        ("my_arm_hand", "Hand", ("", "myarm")),
+        ("left_hand", "lefthand", ("", "")),
+        ("hand", "forehand", None),
+        ("hand", "hand_left", None),
+        ("", "hand", None),
+    ],
+)
+def test_what_stands_before_names(own, other, prefix):
+    assert prefix_of(own, other) == prefix
+    assert prefix_of(other, own) == (prefix and prefix[::-1])
+
+
 def attached(**changes):
     """A moveit_msgs/AttachedCollisionObject, which MoveIt gives in the frame of its link."""
     pose = {"position": [0.3, 0, 0.02], "orientation": TURN}
@@ -536,8 +553,46 @@ def test_what_is_attached_is_held(tmp_path, tiny_path, message, request_message,
             read(tmp_path, message)
 
 
+@pytest.mark.parametrize(
+    ("joints", "link", "touches", "may"),
+    [
+        ("", "lower", ["left_middle", "middle_"], True),
+        ("", "lower", ["left_middle", "leftmiddle", "arm_lower"], False),
+        ("", "arm_lower", ["arm_middle"], True),
+        ("", "arm_lower", ["left_middle"], False),
+        ("arm_", "arm_lower", ["armmiddle", "left_middle"], False),
+        ("arm_", "lower", ["arm-middle"], True),
+        ("arm_", "left_lower", [], None),
+    ],
+)
+def test_what_is_held_touches_links_of_the_prefix_of_joints_or_of_the_holder_alone(
+    tmp_path, tiny_path, request_message, joints, link, touches, may, caplog
+):
+    robot = load_robot(tiny_path)
+    thing = {**THING, "header": {"frame_id": link}}
+    held = attached(link_name=link, object=thing, touch_links=touches)
+    state, (goal,) = request_message["start_state"], request_message["goal_constraints"]
+    state["attached_collision_objects"] = [held]
+    names = state["joint_state"]["name"]
+    state["joint_state"]["name"] = [joints + name for name in names]
+    for each in goal["joint_constraints"]:
+        each["joint_name"] = joints + each["joint_name"]
+    if may is None:
+        with pytest.raises(InputError, match=r"attached to 'left_lower' .* has no such body"):
+            query_of(tmp_path, robot, request_message, SCENE)
+        return
+    moveit._note.cache_clear()
+    (load,) = query_of(tmp_path, robot, request_message, SCENE).robot.loads
+    assert (load.body, "middle" in load.allow) == ("lower", may)
+    told = "let left_middle be touched, which" in caplog.text
+    assert told is ("left_middle" in touches)
+    assert ("link arm_middle of planning scenes is taken for body middle" in caplog.text) is (
+        "arm_middle" in touches
+    )
+
+
 def test_a_motion_of_what_a_request_has_attached_is_carried_out(
-    tmp_path, tiny_path, request_message
+    tmp_path, tiny_path, request_message, capsys
 ):
     robot, file = load_robot(tiny_path), tmp_path / "motion.json"
     request_message["start_state"]["attached_collision_objects"] = [attached()]
@@ -554,8 +609,13 @@ def test_a_motion_of_what_a_request_has_attached_is_carried_out(
         torque=(40.0, 40.0, 20.0),
     )
     assert main(config) == 0
-    with pytest.raises(InputError, match=r"not of tiny; name .* what it held \(--attach, or --req"):
-        main(dataclasses.replace(config, request=None))
+    assert "says, lower holds" not in capsys.readouterr().out
+    assert main(dataclasses.replace(config, request=None)) == 0  # the file tells
+    assert "motion.json says, lower holds held_cylinder_0, 0.5 kg" in capsys.readouterr().out
+    request_message["start_state"]["attached_collision_objects"][0]["weight"] = 0.4
+    other = dataclasses.replace(config, request=written(tmp_path, request_message, "other.yaml"))
+    with pytest.raises(InputError, match=r"not of tiny_hold.* what it held \(--attach, or --req"):
+        main(other)
     with pytest.raises(InputError, match=r"--request needs a planning scene of MoveIt"):
         main(dataclasses.replace(config, scene=tmp_path / "scene.json"))
 

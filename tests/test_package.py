@@ -33,7 +33,8 @@ ORDER = """
 interruption notice errors arguments per_object files devices clock digest surroundings
 memory_maps kept
 roll_call cluster
-arm.parts arm.bodies arm.hulls arm.joints arm.mjcf arm.mesh_files arm.urdf arm.contacts
+arm.parts arm.bodies arm.hulls arm.couplings arm.joints arm.mjcf arm.mesh_files arm.urdf arm.sources
+arm.contacts arm.load
 arm.reading arm.fit arm.blocks arm.covers arm.robot arm.kinematics arm.transforms arm.torques
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
 scene.scene scene.batches scene.allowed scene.surfaces scene.octomap scene.units scene.scene_file
@@ -52,7 +53,8 @@ guide.guide guide.view guide.motion guide.field guide.rest
 search.knowledge search.greedy search.lazy search.rounds search.shorten
 problems.problem problems.file problems.shards problems.camera
 problems.structures problems.shelves problems.furniture problems.clutter problems.families
-problems.family_problem problems.labelled problems.moveit
+problems.family_problem problems.labelled problems.moveit_names
+problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
 trajectory.clearance trajectory.timing trajectory.batches trajectory.needs trajectory.jerk
 trajectory.moves trajectory.trajectory trajectory.states trajectory.files

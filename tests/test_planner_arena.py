@@ -110,6 +110,10 @@ def test_planners_of_one_title_are_told_apart_but_for_their_seeds(tmp_path):
     assert rows([files[0], files[2]], names) == ["guided, 200 nodes"] * 2
     titles = [f"guided, 200 nodes ({name})" for name in ("a", "dear", "b")]
     assert rows(files[:3], names) == titles
+    (tmp_path / "one").mkdir()
+    alike = [files[0], write(tmp_path / "one" / "a.json", **dear)]
+    titles = [f"guided, 200 nodes ({name})" for name in (f"{tmp_path.name}/a", "one/a")]
+    assert rows(alike, names) == titles
     assert rows(files, "SELECT id FROM experiments") == [1, 2]
 
 

@@ -19,7 +19,7 @@ from gnnjax.trajectory.execution import execute_trajectory
 from gnnjax.trajectory.jerk import Profile
 from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
 from gnnjax.trajectory.smooth import Smoothed
-from gnnjax.trajectory.states import largest_use, sample_trajectory
+from gnnjax.trajectory.states import largest_use, movement, sample_trajectory
 from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
@@ -71,6 +71,9 @@ def test_jerk_is_limited_and_all_else_too(free, blend, jerk):
     shares = [largest_use(free, limits, x) for x in found]
     assert max(shares) < 1.001
     assert min(shares) > 0.95
+    if not blend:  # however near to a stop, the arm is on its side of the corner
+        _, _, pushes = movement(found[0], np.arange(0, found[0].duration, 1e-5))
+        assert (np.abs(np.diff(pushes, axis=0)) < 1.001e-5 * limits.jerk).all()
     longer = [x.duration / x.timing.times[-1] for x in found]
     assert 1 < min(longer)
     assert max(longer) < (1.6 if jerk != 900 else 1.05)

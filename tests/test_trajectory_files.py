@@ -11,9 +11,10 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
+from gnnjax.scene.holding import _attached
 from gnnjax.scene.scene import make_scene
-from gnnjax.scene.shapes import sphere
-from gnnjax.trajectory.files import load_trajectory, save_trajectory
+from gnnjax.scene.shapes import box, capsule, cylinder, sphere
+from gnnjax.trajectory.files import load_trajectory, robot_of_trajectory, save_trajectory
 from gnnjax.trajectory.states import sample_trajectory
 from gnnjax.trajectory.trajectory import time_path
 
@@ -94,14 +95,45 @@ def test_files_tell_what_the_arm_held_and_are_read_for_no_other(motion, tmp_path
         for mass in (0.25, 0.5)
     )
     save_trajectory(heavy, trajectory, file, dt=0.05)
-    held = (
-        np.load(file)["held"] if kind == "npz" else json.loads(file.read_text())["gnnjax"]["held"]
-    )
-    assert list(held) == [f"{body} holds held_sphere_0, 0.5 kg"]
     assert len(load_trajectory(heavy, file).times) > 2
     for other in (robot, light):
         with pytest.raises(InputError, match=r"tiny_holding_.*; name .*, and what it held .--atta"):
             load_trajectory(other, file)
+    assert robot_of_trajectory(robot, file) is heavy
+    for other in (light, load_robot("kuka_iiwa14")):  # refused, as above
+        assert robot_of_trajectory(other, file) is other
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_an_arm_holds_by_two_bodies_is_held_again_bit_by_bit(motion, tmp_path, kind):
+    robot, trajectory = motion
+    file, free = tmp_path / f"motion.{kind}", [x.name for x in robot.bodies]
+    turn = ([0.1, 0.2, 0.3], [0.3, 0.1, 0.7, 0.2])
+    things = [box([1 / 3, 0, 0], [0.1, 0.02, 1 / 30], turn[1]), capsule([0, 0, 0.1], 0.01, 0.02)]
+    both = robot.attach(free[-1], things, pose=turn, mass=1 / 7, allow=free)
+    both = both.attach(free[-2], [cylinder([0.1, 0.1, 0], 0.02, 0.1)], allow=free)
+    save_trajectory(both, trajectory, file, dt=0.05)
+    _attached.cache_clear()  # as another process would
+    again = robot_of_trajectory(robot, file)
+    if kind == "csv":
+        assert again is robot
+        return
+    assert (again.name, again.loads, again is both) == (both.name, both.loads, False)
+    for mine, theirs in zip(again.parts, both.parts, strict=True):
+        np.testing.assert_array_equal(mine.vertices, theirs.vertices)
+    np.testing.assert_array_equal(again.mj_model.body_mass, both.mj_model.body_mass)
+    np.testing.assert_array_equal(again.part_pairs, both.part_pairs)
+    assert len(load_trajectory(again, file).times) > 2
+    if kind == "json":
+        changed(lambda x: x["gnnjax"]["held"][0].update(mass=0.1))(file)
+    else:  # as version 0.1 wrote it
+        with np.load(file) as arrays:
+            kept = {name: arrays[name] for name in arrays.files if name != "held"}
+        np.savez(file, **kept)
+    assert robot_of_trajectory(robot, file) is robot
+    with pytest.raises(InputError, match=r"is of 'tiny_holding_.*, not of tiny; name the arm"):
+        load_trajectory(robot, file)
+    assert len(load_trajectory(both, file).times) > 2
 
 
 def changed(change):
@@ -135,6 +167,14 @@ BROKEN = [
     ("json", changed(lambda x: x["points"][1].update(effort=[1.0])), "holds no motion"),
     ("json", changed(lambda x: x["points"][1].update(positions=[0, 9, 0])), "joint b at 9, beyond"),
     ("json", changed(lambda x: x.update(joint_names=["a", "b"])), "of an arm with the joints"),
+    ("json", changed(lambda x: x["gnnjax"].pop("robot")), "no entry 'robot'"),
+    ("json", changed(lambda x: x["gnnjax"].update(held=["a ball"])), "the arm held is .'a ball'."),
+    (
+        "json",
+        changed(lambda x: x["points"][1].update(effort=[10**400] * 3)),
+        "too large to convert",
+    ),
+    ("json", changed(lambda x: x["gnnjax"].update(held=3)), "what the arm held is 3.; write"),
 ]
 
 

@@ -165,7 +165,13 @@ def test_meshes_of_all_formats_give_the_same_part(tmp_path, write, name):
     ],
 )
 def test_meshes_are_found_however_they_are_named(tmp_path, mesh):
-    assert load_robot(package(tmp_path, mesh=mesh)).num_dof == 2
+    path = package(tmp_path, mesh=mesh)
+    robot = load_robot(path)
+    assert robot.num_dof == 2
+    assert load_robot(path) is robot
+    package(tmp_path, stl(triangles(1.5 * CORNERS)), mesh=mesh)  # of the same size, in bytes
+    extents = [np.ptp(x.parts[1].vertices, axis=0).max() for x in (robot, load_robot(path))]
+    assert extents[1] == pytest.approx(1.5 * extents[0])
 
 
 def test_a_mesh_folder_of_the_urdf_counts(tmp_path):

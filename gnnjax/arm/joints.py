@@ -12,14 +12,13 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from gnnjax.arm.couplings import Couplings, find_couplings, joints_of
 from gnnjax.errors import InputError
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _EQ_JOINT = int(mujoco.mjtEq.mjEQ_JOINT)
 _EQ_TENDON = int(mujoco.mjtEq.mjEQ_TENDON)
-_LOOPS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
-_WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _TRN_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _TRN_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
@@ -54,7 +53,7 @@ def choose_joints(
 
     Raises:
         InputError: an unknown or doubled name, another order, a value beyond the limits, a joint
-            without one that it is coupled to.
+            without those that it is coupled to, or held without those that it is tied to.
     """
     names = [joint_name(model, j) for j in range(model.njnt)]
     if unknown := [name for name in (*(joints or ()), *hold) if name not in names]:
@@ -66,29 +65,16 @@ def choose_joints(
             raise InputError(f"joints is {list(joints)}; name each once, in the order {order}")
         if both := [name for name in joints if name in hold]:
             raise InputError(f"joint {both[0]!r} is to be planned for and held; name it once")
-    drivers, coupled = _couplings(model)
+    couplings = find_couplings(model)
     if joints is None:
+        coupled = couplings.joints
         chosen = [j for j in range(model.njnt) if names[j] not in hold and j not in coupled]
         if model.njnt and not chosen:
             raise InputError(
                 f"all joints of {str(path)!r} are held or coupled to others; name those to plan "
                 f"for with joints=[...], of {names}"
             )
-    for j in chosen:
-        if j in drivers and drivers[j][0] in chosen:
-            raise InputError(
-                f"joint {names[j]!r} of {str(path)!r} follows {names[drivers[j][0]]!r}; plan for "
-                "one of them at most"
-            )
-    for j, (driver, _) in drivers.items():
-        for one, other in ((j, driver), (driver, j)):
-            if one in chosen and other >= 0 and names[other] not in hold:
-                # It moves along, and what it carries would be planned for where it is not.
-                raise InputError(
-                    f"joint {names[one]!r} of {str(path)!r} is coupled to {names[other]!r}, which "
-                    "planning would leave where it is; if it stays there, "
-                    f"hold={{{names[other]!r}: ...}}, else leave {names[one]!r} out of joints"
-                )
+    _check_coupled(couplings, path, names, {*chosen}, {names.index(name) for name in hold})
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     rest = model.key_qpos[key] if key >= 0 else model.qpos0
     held: dict[int, float] = {}
@@ -111,8 +97,49 @@ def choose_joints(
                 f"{upper:g}"
             )
         held[j] = float(value)
-    _follow(model, drivers, held, {names.index(name) for name in hold})
+    _follow(model, couplings.drivers, held, {names.index(name) for name in hold})
     return Choice(chosen, held)
+
+
+def _check_coupled(
+    couplings: Couplings, path: Path, names: list[str], chosen: set[int], fixed: set[int]
+) -> None:
+    """Refuses joints to plan for, and values to hold some at, that couplings do not allow."""
+    drivers = couplings.drivers
+    for j, (driver, _) in drivers.items():
+        if {j, driver} <= chosen:
+            raise InputError(
+                f"joint {names[j]!r} of {str(path)!r} follows {names[driver]!r}; plan for one of "
+                "them at most"
+            )
+    for tie in couplings.ties:
+        if len(both := sorted(tie & chosen)) > 1:
+            raise InputError(
+                f"joints {names[both[0]]!r} and {names[both[1]]!r} of {str(path)!r} are tied by an "
+                "equality of tendons, or of bodies that closes a loop; plan for one of them at "
+                'most, or take it out (active="false")'
+            )
+    pairs = [{j, driver} for j, (driver, _) in drivers.items() if driver >= 0]
+    for group in (*pairs, *couplings.ties, *couplings.pulled):
+        open_ones = sorted(group - chosen - fixed)
+        for j in sorted(group & chosen) if open_ones else ():
+            # They move along, and what they carry would be planned for where it is not.
+            raise InputError(
+                f"joint {names[j]!r} of {str(path)!r} is coupled to {names[open_ones[0]]!r}, which "
+                "planning would leave where it is; if it stays there, "
+                f"hold={{{names[open_ones[0]]!r}: ...}}, else leave {names[j]!r} out of joints"
+            )
+    followers = {*fixed}
+    for _ in drivers:  # chains of them
+        followers |= {j for j, (driver, _) in drivers.items() if driver in followers}
+    for tie in couplings.ties:
+        open_ones = sorted(tie - chosen - followers)
+        for j in sorted(tie & fixed) if open_ones else ():
+            raise InputError(
+                f"joint {names[j]!r} of {str(path)!r} is to be held and is tied to "
+                f"{names[open_ones[0]]!r}, which would stay at home; hold that, too, where it is "
+                f"then: hold={{{names[open_ones[0]]!r}: ...}}"
+            )
 
 
 def _follow(
@@ -130,59 +157,6 @@ def _follow(
                 if model.jnt_limited[j]:
                     value = np.clip(value, *model.jnt_range[j])
                 held[j] = float(value)
-
-
-def _couplings(
-    model: mujoco.MjModel,
-) -> tuple[dict[int, tuple[int, np.ndarray]], set[int]]:
-    """The joint that each follower follows (-1: none, it is fixed) with the polynomial, and all
-    joints that do not move by themselves."""
-    drivers: dict[int, tuple[int, np.ndarray]] = {}
-    coupled: set[int] = set()
-    tendons = {
-        int(model.actuator_trnid[a, 0])
-        for a in range(model.nu)
-        if int(model.actuator_trntype[a]) == _TRN_TENDON
-    }
-    for e in np.flatnonzero(model.eq_active0).tolist():
-        first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
-        kind = int(model.eq_type[e])
-        if kind == _EQ_JOINT:
-            drivers[first] = second, model.eq_data[e, :5].copy()
-            coupled |= {first, second} - {-1}
-        elif kind == _EQ_TENDON:
-            tendons |= {first, second} - {-1}
-        elif kind in _LOOPS:
-            coupled |= _loop(model, e)
-    for tendon in tendons:
-        coupled |= _joints_of(model, tendon)
-    return drivers, coupled
-
-
-def _joints_of(model: mujoco.MjModel, tendon: int) -> set[int]:
-    """The joints whose values a tendon adds up; none where it runs through space."""
-    first = int(model.tendon_adr[tendon])
-    wraps = range(first, first + int(model.tendon_num[tendon]))
-    return {int(model.wrap_objid[w]) for w in wraps if int(model.wrap_type[w]) == _WRAP_JOINT}
-
-
-def _loop(model: mujoco.MjModel, e: int) -> set[int]:
-    """The joints between two bodies that an equality ties together; none where one of them is
-    fixed to the world, or carried by hand (mocap), which ties the arm and not its gripper."""
-    ends = [int(model.eq_obj1id[e]), int(model.eq_obj2id[e])]
-    if int(model.eq_objtype[e]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        ends = [int(model.site_bodyid[s]) for s in ends]
-    chains = []
-    for body in ends:
-        chain = set()
-        if not model.body_weldid[body]:
-            return set()
-        while body:
-            first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-            chain |= set(range(first, first + count))
-            body = int(model.body_parentid[body])
-        chains.append(chain)
-    return chains[0] ^ chains[1]
 
 
 def hold_joints(spec: mujoco.MjSpec, model: mujoco.MjModel, held: Mapping[int, float]) -> None:
@@ -227,7 +201,7 @@ def hold_joints(spec: mujoco.MjSpec, model: mujoco.MjModel, held: Mapping[int, f
             anchors[k] = _rotated(anchors[k] - moved, back)
             axes[k] = _rotated(axes[k], back)
             joints[k].pos, joints[k].axis = anchors[k], axes[k]
-    tendons = {t for t in range(model.ntendon) if _joints_of(model, t) & set(held)}
+    tendons = {t for t in range(model.ntendon) if joints_of(model, t) & set(held)}
     gone = [
         *(x for x in spec.equalities if _equality_refers(model, x.id, held, tendons)),
         *(x for x in spec.actuators if _actuator_refers(model, x.id, held, tendons)),

@@ -19,6 +19,7 @@ from gnnjax.arm.mjcf import (
     soft_bodies,
 )
 from gnnjax.arm.parts import geom_name
+from gnnjax.arm.sources import check_meshes
 from gnnjax.arm.urdf import read_urdf
 from gnnjax.errors import InputError
 
@@ -55,6 +56,7 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     if path.suffix == ".urdf":
         spec, given, no_room, said = read_urdf(path)
     else:
+        check_meshes(path)
         spec = mujoco.MjSpec.from_file(str(path))
     model, notes = spec.compile(), said
     check_numbers(model, path)

@@ -25,9 +25,11 @@ from gnnjax.arm.bodies import Body, read_body
 from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
 from gnnjax.arm.covers import cover_file, cover_parts, pairs_of_rows
 from gnnjax.arm.joints import joint_name
+from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
+from gnnjax.arm.sources import Written, written
 from gnnjax.errors import InputError, brief
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -70,6 +72,7 @@ class Robot:
     geom_inner_radii: np.ndarray  # [G] m, of what lies inside the part; not above 0: the centre is
     # outside of it
     self_pairs: np.ndarray  # [S 2] indices of rows of `part_pairs`
+    loads: tuple[Load, ...]  # what it holds, in the order of `attach`
     notes: tuple[str, ...]  # what was decided where the file leaves it open
 
     def __getstate__(self) -> dict[str, Any]:
@@ -146,8 +149,8 @@ def load_robot(
     What the file leaves open is decided, logged and kept in `Robot.notes`. An MJCF may hold
     `<custom><numeric name="velocity_limit" data="..."/></custom>`, likewise `acceleration_limit`,
     and a keyframe called `home`; a URDF's limits `acceleration` or `drake:acceleration`. The same
-    arguments give the same object, until that file changes; that a mesh or an included file did,
-    a new process sees.
+    arguments give the same object, until that file changes, or one that it includes or has a mesh
+    from.
 
     Args:
         robot: name or path.
@@ -172,10 +175,9 @@ def load_robot(
             f'allow is {brief(allow)}; give pairs of names of bodies, such as [("hand", "link_4")]'
         )
     path = Path(robot)
-    written = path.stat() if path.is_file() else None
     return _load(
         path,
-        written and (written.st_mtime_ns, written.st_size),
+        written(path) if path.suffix else (),
         None if joints is None else tuple(joints),
         tuple(sorted((name, float(value)) for name, value in held.items())),
         tuple((str(a), str(b)) for a, b in pairs),
@@ -189,7 +191,7 @@ def _is_pair(pair: object) -> bool:
 @functools.cache
 def _load(
     path: Path,
-    written: tuple[int, int] | None,  # when, and how much: a file that was edited is read anew
+    when: Written,  # a file that was edited is read anew
     joints: tuple[str, ...] | None,
     hold: tuple[tuple[str, float], ...],
     allow: tuple[tuple[str, str], ...],
@@ -293,5 +295,6 @@ def _robot_of(
         geom_radii=rows.radii,
         geom_inner_radii=rows.inner_radii,
         self_pairs=pairs_of_rows(rows.parts, pairs),
+        loads=(),
         notes=notes,
     )

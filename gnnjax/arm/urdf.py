@@ -51,7 +51,7 @@ def read_urdf(path: Path) -> Urdf:
         ValueError: MuJoCo cannot read it.
     """
     try:
-        root = _parsed(path.read_bytes())
+        root = parse_xml(path.read_bytes())
     except expat.ExpatError as error:
         raise InputError(f"{str(path)!r} is no XML: {error}; check the file") from None
     if root.tag != "robot":
@@ -80,7 +80,7 @@ def read_urdf(path: Path) -> Urdf:
             else:
                 link.remove(visual)
         for mesh in link.iter("mesh"):
-            file = _find(mesh.get("filename", ""), folders, path)
+            file = find_mesh(mesh.get("filename", ""), folders, path)
             scale = mesh.get("scale", "1 1 1")
             if (file, scale) not in names:
                 ending, data = _load(file)
@@ -95,7 +95,7 @@ def read_urdf(path: Path) -> Urdf:
     return Urdf(mujoco.MjSpec.from_string(text, assets=assets), limits, _no_room(root), notes)
 
 
-def _parsed(data: bytes) -> ET.Element:
+def parse_xml(data: bytes) -> ET.Element:
     """The root of an XML file. Prefixes are a part of names: URDFs have them without saying what
     they stand for, which those who read URDFs take, and XML's own readers do not."""
     tree, parser = ET.TreeBuilder(), expat.ParserCreate()
@@ -158,7 +158,7 @@ def _mend_inertia(link: ET.Element) -> None:
         inertia.attrib = {"ixx": mean, "iyy": mean, "izz": mean, "ixy": "0", "ixz": "0", "iyz": "0"}
 
 
-def _find(name: str, folders: list[Path], urdf: Path) -> Path:
+def find_mesh(name: str, folders: list[Path], urdf: Path) -> Path:
     """The file that a URDF calls `name`.
 
     What stands after `package://PACKAGE/` lies in a folder called PACKAGE above the URDF or beside

@@ -2,7 +2,8 @@
 
 import contextlib
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -148,3 +149,20 @@ class RowFiles:
             file.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             self._folder.rmdir()
+
+
+def names_of(paths: Iterable[Path]) -> dict[Path, str]:
+    """What results are called: by the file's name without its ending, and as many folders before
+    that as tell it from the others. The same file, named twice, has one name."""
+    whole = {path: Path(os.path.abspath(path)) for path in paths}
+    names = {}
+    for path, place in whole.items():
+        parts = place.with_suffix("").parts
+        others = [x.with_suffix("").parts for x in whole.values() if x != place]
+        for count in range(1, len(parts) + 1):
+            if all(x[-count:] != parts[-count:] for x in others):
+                names[path] = Path(*parts[-count:]).as_posix()
+                break
+        else:  # another ending tells them apart
+            names[path] = place.as_posix()
+    return names

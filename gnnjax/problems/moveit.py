@@ -2,8 +2,7 @@
 
 import functools
 import logging
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +10,15 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
+from gnnjax.problems.moveit_names import (
+    Prefix,
+    body_of,
+    end_alike,
+    listed,
+    matched_joints,
+    prefix_of,
+    shared_prefix,
+)
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.holding import attach
 from gnnjax.scene.messages import fields_of, list_of, numbers, read_message
@@ -39,6 +47,7 @@ _CONSTRAINTS = (
 ).split()
 _ON_THE_WAY = {"path_constraints": _CONSTRAINTS, "trajectory_constraints": ["constraints"]}
 _JOINT_CONSTRAINT = "joint_name position tolerance_above tolerance_below weight".split()
+_NO_PREFIX = ("", "")
 _SAME = 1e-6  # m or rad, up to which two files agree
 
 
@@ -67,7 +76,7 @@ def problem_from_moveit(
             way, a joint that is missing, a base that stands elsewhere than in the scene, or objects
             that are attached to the robot, for which there is `query_from_moveit`.
     """
-    found, state, problem = _read(scene_path, request_path, robot, names or {})
+    found, state, problem, _ = _read(scene_path, request_path, robot, names or {})
     refuse_attached(found.state, f"planning scene {str(scene_path)!r}")
     refuse_attached(state, f"request {str(request_path)!r}")
     return problem
@@ -90,45 +99,49 @@ def query_from_moveit(
     """`problem_from_moveit` with the arm that holds what is attached to the robot.
 
     That is `robot` itself where nothing is. Objects may be attached in the scene or in the start
-    state of the request. They are held by the bodies that are called like their links, or whose
-    names end alike, and may touch those of their `touch_links`; MoveIt's frames of these links must
-    be the arm's, too.
+    state of the request. They are held by the bodies that are called like their links, and may
+    touch those of their `touch_links`; MoveIt's frames of these links must be the arm's, too.
+
+    Links are called like bodies where they are but for punctuation, and for the prefix that all
+    joints of the request have beside the arm's, or else the link that holds the object beside its
+    body: with `panda_joint1` for `joint_1`, or held by `panda_hand`, `panda_link7` is `link_7`, and
+    `left_hand` is not `hand`. A line is logged of each that has a prefix, and of each that is no
+    body of the arm: what is held stays clear of all that is not named.
 
     Raises:
         InputError: see there and `Robot.attach`; or a link that the arm does not have.
     """
-    found, state, problem = _read(scene_path, request_path, robot, names or {})
+    found, state, problem, prefix = _read(scene_path, request_path, robot, names or {})
     if found.state.attached and state.attached:
         raise InputError(
             f"request {str(request_path)!r} and planning scene {str(scene_path)!r} both have "
             "objects attached to the robot; keep those of one"
         )
     for thing in (*found.state.attached, *state.attached):
-        body = _body(robot, thing.link)
+        body = body_of(robot, thing.link, prefix and {prefix, _NO_PREFIX})
         if body is None:
             known = [x.name for x in robot.bodies if x.name]
-            raise InputError(f"{thing.source}: {robot.name} has no such body, but {brief(known)}")
-        allow = {name: _body(robot, name) for name in thing.touches}
-        for name in (name for name, own in allow.items() if own is None):
-            _note(f"planning scenes let {name} be touched, which {robot.name} does not have")
-        touched = [own for own in allow.values() if own is not None]
+            raise InputError(
+                f"{thing.source}: {robot.name} has no such body, but {brief(known)}; call the link "
+                "like one of these"
+            )
+        shared = {prefix or prefix_of(body, thing.link) or _NO_PREFIX, _NO_PREFIX}
+        links = {name: body_of(robot, name, shared) for name in thing.touches}
+        for name, own in {thing.link: body, **links}.items():
+            if own is None:
+                _note(f"planning scenes let {name} be touched, which {robot.name} does not have")
+            elif prefix_of(own, name) != _NO_PREFIX:
+                _note(f"link {name} of planning scenes is taken for body {own} of {robot.name}")
+        touched = [own for own in links.values() if own is not None]
         robot = attach(robot, body, thing.shapes, mass=thing.mass, allow=touched)
     return MoveItQuery(robot, problem)
 
 
-def _body(robot: Robot, link: str) -> str | None:
-    """The body that is called like a link of the request."""
-    own = [body.name for body in robot.bodies if body.name]
-    if link in own:
-        return link
-    alike = [name for name in own if _end_alike(name, link)]
-    return alike[0] if len(alike) == 1 else None
-
-
 def _read(
     scene_path: str | Path, request_path: str | Path, robot: Robot, names: Mapping[str, str]
-) -> tuple[PlanningScene, RobotState, Problem]:
-    """The scene, the state that the request starts from, and the problem of both."""
+) -> tuple[PlanningScene, RobotState, Problem, Prefix | None]:
+    """The scene, the state that the request starts from, the problem of both, and what stands
+    before all names of joints."""
     called = f"request {str(request_path)!r}"
     message = read_message(request_path, "request", [*_PROBLEM, *_ON_THE_WAY, *_HOW])
     for name, known in _ON_THE_WAY.items():
@@ -151,7 +164,7 @@ def _read(
             )
     goal = _goal(message, called)
     start = _start(message, called)
-    mapping = _matched(robot, list(goal), names, called)
+    mapping = matched_joints(robot, list(goal), names, called)
     for name in goal.keys() - set(mapping.values()):
         held = _held(robot, name)
         if held is None or abs(held - goal[name]) > _SAME:
@@ -167,7 +180,7 @@ def _read(
         _configuration(mapping, goal, f"goal of {called}"),
         scene_of(placed, f"planning scene {str(scene_path)!r}"),
     )
-    return found, state, problem
+    return found, state, problem, shared_prefix(mapping)
 
 
 def _start(message: dict[str, Any], called: str) -> dict[str, float]:
@@ -212,41 +225,6 @@ def _goal(message: dict[str, Any], called: str) -> dict[str, float]:
     return found
 
 
-def _matched(
-    robot: Robot, others: Sequence[str], names: Mapping[str, str], called: str
-) -> dict[str, str]:
-    """The request's name of each of the robot's joints, in the order of a configuration."""
-    own = robot.joint_names
-    if unknown := sorted(names.keys() - set(own)):
-        raise InputError(f"names has {unknown}, and the joints of {robot.name} are {list(own)}")
-    found = {}
-    for joint in own:
-        exact = names.get(joint, joint)
-        alike = [other for other in others if _end_alike(joint, other)]
-        if exact in others:
-            found[joint] = exact
-        elif joint not in names and len(alike) == 1:
-            found[joint] = alike[0]
-    if len(set(found.values())) < len(own):
-        lacking = next((joint for joint in own if joint not in found), own[0])
-        raise InputError(
-            f"{called} has the goal joints {_listed(others)}, none of them surely "
-            f"{lacking!r} of {robot.name}, whose joints are {_listed(own)}; say which is which: "
-            f"names={{{lacking!r}: ...}}"
-        )
-    return found
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Names, as many as a sentence bears."""
-    return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-
-
-def _end_alike(one: str, other: str) -> bool:
-    one, other = (re.sub(r"[^a-z0-9]", "", name.lower()) for name in (one, other))
-    return bool(one and other) and (one.endswith(other) or other.endswith(one))
-
-
 def _note_others(robot: Robot, start: dict[str, float], planned: set[str]) -> None:
     """Notes where joints are that the robot does not plan for, unless it holds them there."""
     for name, value in start.items():
@@ -261,7 +239,7 @@ def _note_others(robot: Robot, start: dict[str, float], planned: set[str]) -> No
 
 def _held(robot: Robot, name: str) -> float | None:
     """Where the robot holds a joint of the request, rad or m; none that it does not hold."""
-    alike = [own for own in robot.held if _end_alike(own, name)]
+    alike = [own for own in robot.held if end_alike(own, name)]
     own = name if name in robot.held or len(alike) != 1 else alike[0]
     return robot.held.get(own)
 
@@ -275,5 +253,5 @@ def _note(text: str) -> None:
 def _configuration(mapping: dict[str, str], values: dict[str, float], called: str) -> np.ndarray:
     missing = [name for name in mapping.values() if name not in values]
     if missing:
-        raise InputError(f"{called} lacks {_listed(missing)}; give all joints")
+        raise InputError(f"{called} lacks {listed(missing)}; give all joints")
     return np.array([values[name] for name in mapping.values()], np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 
 from gnnjax.arm.mjcf import collision_geoms, soft_bodies, without_warnings
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.sources import check_meshes
 from gnnjax.errors import InputError, one_line
 from gnnjax.scene.cloud import Balls
 from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved, moved_points
@@ -200,6 +201,7 @@ def mjcf_holds(path: str | Path, robot: Robot) -> bool:
 def _compiled(path: str | Path, called: str) -> mujoco.MjModel:
     if not Path(path).is_file():
         raise InputError(f"no MJCF file at {called}; check the path")
+    check_meshes(Path(path))
     try:
         with without_warnings():
             spec = mujoco.MjSpec.from_file(str(path))

@@ -6,7 +6,6 @@ the arm knows it as well: kernels, certificate, distance field, MuJoCo worlds an
 
 import dataclasses
 import functools
-import hashlib
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from gnnjax.arm.bodies import read_body
 from gnnjax.arm.contacts import always_touching, exclude_bodies, pair_explicitly
 from gnnjax.arm.covers import pairs_of_rows
+from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import self_pairs, without_warnings
 from gnnjax.arm.parts import part_of_geom
 from gnnjax.arm.robot import Robot, load_robot
@@ -26,7 +26,6 @@ from gnnjax.scene.pose import Pose
 from gnnjax.scene.scene_file import read_json, shapes_of
 
 _LOG = logging.getLogger(__name__)
-_HOLDS = " holds "  # in notes of arms
 
 
 def attach(
@@ -60,30 +59,35 @@ def attach(
         InputError: an unknown body, or one that no joint moves; no shapes, or one that cannot be
             held; a pose or mass that is none; the arm cannot move without touching what it holds.
     """
-    _holder(robot, body)
-    _check_allowed(robot, allow)
+    _check(robot, body, allow)
     items = tuple(
         (item.kind, *(tuple(x.tolist()) for x in (*item.pose, item.size)))
         for item in items_from(shapes, pose_from(pose), body)
     )
     mass = None if mass is None else float(mass)
-    return _attached(robot, body, items, mass, tuple(sorted({*allow})))
+    return _attached(robot, Load(body, items, mass, tuple(sorted({*allow}))))
+
+
+def attach_again(robot: Robot, load: Load) -> Robot:
+    """`attach` of what an arm of this name held before.
+
+    Raises:
+        InputError: this one has not the bodies for it.
+    """
+    _check(robot, load.body, load.allow)
+    return _attached(robot, load)
 
 
 @functools.lru_cache(maxsize=32)
-def _attached(
-    robot: Robot, body: str, flat: tuple, mass: float | None, allow: tuple[str, ...]
-) -> Robot:
-    """`attach` of what was found good; `flat` are the fields of items, whose numbers are tuples."""
+def _attached(robot: Robot, load: Load) -> Robot:
+    """`attach` of what was found good."""
+    body, _, mass, allow = load
     items = [
         Item(kind, Pose(np.array(position), np.array(quat)), np.array(size))
-        for kind, position, quat, size in flat
+        for kind, position, quat, size in load.items
     ]
     holder = robot.mj_model.body(body).id
-    key = hashlib.sha256(repr((robot.name, body, mass, allow)).encode())
-    for item in items:
-        key.update(item.kind.encode() + b"".join(x.tobytes() for x in (*item.pose, item.size)))
-    digest = key.hexdigest()[:8]
+    digest = load.digest(robot.name)
 
     spec = robot.mj_spec.copy()
     names = add_body(spec, body, f"held_{digest}", items, mass)
@@ -133,11 +137,11 @@ def _attached(
             *(np.full(len(x.radii), len(old) + h) for h, x in enumerate(covers)),
         ]
     )
-    note = f"{body}{_HOLDS}{', '.join(names)}" + (f", {mass:g} kg" if mass else "")
+    note = f"{body} holds {', '.join(names)}" + (f", {mass:g} kg" if mass else "")
     _LOG.info("%s: %s", robot.name, note)
     return dataclasses.replace(
         robot,
-        name=f"{robot.name}_holding_{digest}",
+        name=load.name_of(robot.name),
         mj_spec=spec,
         mj_model=model,
         bodies=tuple(read_body(model, b) for b in range(1, model.nbody)),
@@ -150,14 +154,9 @@ def _attached(
         geom_radii=np.concatenate([robot.geom_radii, *(x.radii for x in covers)]),
         geom_inner_radii=np.concatenate([robot.geom_inner_radii, *(x.depths for x in covers)]),
         self_pairs=pairs_of_rows(geom_parts, pairs),
+        loads=(*robot.loads, load),
         notes=(*robot.notes, note),
     )
-
-
-def held_by(robot: Robot) -> list[str]:
-    """What an arm holds, in words: which body, which shapes, and what they weigh. Arms that differ
-    in the sizes of these differ in their names."""
-    return [note for note in robot.notes if _HOLDS in note]
 
 
 def attach_from_json(robot: Robot, path: str | Path) -> Robot:
@@ -205,21 +204,16 @@ def load_arm(
     return robot if rest_share is None else robot.at_rest_within(rest_share, torque=torque)
 
 
-def _holder(robot: Robot, body: str) -> int:
-    """The id of the body that holds something."""
+def _check(robot: Robot, body: str, allow: Sequence[str]) -> None:
+    """Refuses a body that cannot hold anything, and bodies to allow that are none."""
     names = [x.name for x in robot.bodies if x.name]
     if body not in names:
         raise InputError(f"no body {body!r} in {robot.name} to hold something; there are {names}")
-    holder = robot.mj_model.body(body).id
-    if not robot.mj_model.body_weldid[holder]:
+    if not robot.mj_model.body_weldid[robot.mj_model.body(body).id]:
         raise InputError(
             f"body {body!r} of {robot.name} is moved by no joint; put what it holds into the scene"
         )
-    return holder
-
-
-def _check_allowed(robot: Robot, allow: Sequence[str]) -> None:
-    names = ["world", *(x.name for x in robot.bodies if x.name)]
+    names = ["world", *names]
     if isinstance(allow, str):
         raise InputError(f"allow is {allow!r}; give a list of names of bodies")
     if unknown := [name for name in allow if name not in names]:

@@ -165,8 +165,12 @@ def _torque_limit(robot: Robot, torque: Amounts | None) -> np.ndarray:
 
 
 def at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
-    """A motion at every step of the simulation, held at its goal in the end."""
-    given, positions, velocities = followed(robot, trajectory, DT)
+    """A motion at every step of the simulation, held at its goal in the end.
+
+    Of states that are given, accelerations are those of cubics between them. Where jerk leaps
+    from one state to the next, these leave limits of it by up to a seventh of the leap.
+    """
+    given, positions, velocities, accelerations = followed(robot, trajectory, DT)
     last = float(given[-1])
     if not last <= _LONGEST:
         raise InputError(f"the motion takes {last:g} s; up to {_LONGEST:g} s can be simulated")
@@ -174,7 +178,11 @@ def at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
     moving = times < last
     q, velocity, acceleration = (np.zeros((len(times), robot.num_dof)) for _ in range(3))
     q[:] = positions[-1]
-    if moving.any():
+    if accelerations is not None:  # at these very times, and at the last one
+        exact = positions, velocities, accelerations
+        for values, part in zip(exact, (q, velocity, acceleration), strict=True):
+            part[moving] = values[:-1]
+    elif moving.any():
         from scipy.interpolate import CubicHermiteSpline  # a third of a second, for this alone
 
         curve = CubicHermiteSpline(given, positions, velocities)

@@ -4,14 +4,15 @@ import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from gnnjax.arm.load import Load, load_from_json
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.files import FileKind, atomic_write, check_target, read_arrays
-from gnnjax.scene.holding import held_by
+from gnnjax.scene.holding import attach_again
 from gnnjax.scene.scene_file import read_json
 from gnnjax.trajectory.states import Setpoints, check_setpoints, sample_trajectory
 from gnnjax.trajectory.trajectory import Trajectory
@@ -38,9 +39,9 @@ def save_trajectory(
 ) -> None:
     """Writes a motion, sampled every `dt` seconds, of the kind that the file's ending says.
 
-    Arrays and messages also tell the name of the arm and what it held, and of costs and clearances,
-    before and after corners were rounded; messages do so under a key of their own, "gnnjax", which
-    ROS does not know. A table has room for neither.
+    Arrays and messages also tell the name of the arm and all of what it held, and of costs and
+    clearances, before and after corners were rounded; messages do so under a key of their own,
+    "gnnjax", which ROS does not know. A table has room for neither.
 
     Raises:
         InputError: see `check_trajectory_file` and `sample_trajectory`.
@@ -57,12 +58,39 @@ def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
 
     Raises:
         InputError: no such file, another ending, or what is in it is no motion of this arm, with
-            what it held: a table does not tell that.
+            what it held (see `robot_of_trajectory`): a table does not tell that.
     """
-    path = Path(path)
+    called, read = f"trajectory file {str(path)!r}", _read(Path(path))
+    _check_arm(robot, read, called)
+    check_setpoints(robot, read.points, called, _AGAIN)
+    return read.points
+
+
+def robot_of_trajectory(robot: Robot, path: str | Path) -> Robot:
+    """The arm that a file's motion is of: the robot, with what that held.
+
+    It is the robot itself where that holds something already, the file's arm held nothing or was
+    another one, or the file is a table, which does not tell.
+
+    Raises:
+        InputError: no such file, another ending, or no motion is in it; see `Robot.attach`.
+    """
+    read = _read(Path(path))
+    name = robot.name
+    for load in read.loads:
+        name = load.name_of(name)
+    # Names have a digest of what is held, so that a file that was edited is of no known arm.
+    if robot.loads or name != read.robot:
+        return robot
+    for load in read.loads:
+        robot = attach_again(robot, load)
+    return robot
+
+
+def _read(path: Path) -> "_Read":
     called = f"trajectory file {str(path)!r}"
     try:
-        read = _form_of(path).read(path)
+        return _form_of(path).read(path)
     except FileNotFoundError:
         raise InputError(f"no {called}; check the path") from None
     except IsADirectoryError:
@@ -75,14 +103,12 @@ def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
         KeyError,
         TypeError,
         IndexError,
+        OverflowError,
         RecursionError,
         csv.Error,
     ) as error:
         what = f"no entry {brief(error.args[0])}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{called} holds no motion ({what}); {_AGAIN}") from None
-    _check_arm(robot, read, called)
-    check_setpoints(robot, read.points, called, _AGAIN)
-    return read.points
 
 
 def _check_arm(robot: Robot, read: "_Read", called: str) -> None:
@@ -103,6 +129,7 @@ class _Read(NamedTuple):
     """What a file holds, as it is."""
 
     robot: str | None  # None where files of the kind do not tell
+    loads: tuple[Load, ...]  # that this arm holds
     joint_names: list[str]
     points: Setpoints
 
@@ -112,7 +139,7 @@ def _npz(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
         np.savez_compressed(
             stream,
             robot=np.array(robot.name),
-            held=np.array(held_by(robot), str),
+            held=np.array(json.dumps(_held(robot))),
             joint_names=np.array(robot.joint_names),
             **points._asdict(),
             **{name: np.array(value) for name, value in facts.items()},
@@ -122,7 +149,9 @@ def _npz(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
 def _from_npz(path: Path) -> _Read:
     arrays = read_arrays(path, FileKind("trajectory file", "a motion", _AGAIN))
     points = Setpoints(*(np.asarray(arrays[name], float) for name in Setpoints._fields))
-    return _Read(str(arrays["robot"]), arrays["joint_names"].tolist(), points)
+    # Files of version 0.1 do not tell what was held.
+    loads = _loads(json.loads(str(arrays["held"]))) if "held" in arrays else ()
+    return _Read(str(arrays["robot"]), loads, arrays["joint_names"].tolist(), points)
 
 
 def _csv(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
@@ -141,7 +170,8 @@ def _from_csv(path: Path) -> _Read:
     if head != ["time", *(f"{kind}:{j}" for kind in kinds for j in joints)]:
         raise ValueError(f"its columns are {brief(head)}")
     table = np.array(rows, float).reshape(len(rows), len(head))
-    return _Read(None, joints, Setpoints(table[:, 0], *np.split(table[:, 1:], len(kinds), axis=1)))
+    points = Setpoints(table[:, 0], *np.split(table[:, 1:], len(kinds), axis=1))
+    return _Read(None, (), joints, points)
 
 
 def _json(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
@@ -161,7 +191,7 @@ def _json(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
             }
             for time, positions, velocities, accelerations, torques in rows
         ],
-        "gnnjax": {"robot": robot.name, "held": held_by(robot), **facts},
+        "gnnjax": {"robot": robot.name, "held": _held(robot), **facts},
     }
     file.write_text(json.dumps(message, indent=1), encoding="utf-8")
 
@@ -173,8 +203,22 @@ def _from_json(path: Path) -> _Read:
     times = np.array([time["sec"] + time["nanosec"] / _NANO for time in since], float)
     kinds = ("positions", "velocities", "accelerations", "effort")
     columns = (np.array([point[kind] for point in points], float) for kind in kinds)
-    named = message.get("gnnjax", {}).get("robot")  # not in messages of others
-    return _Read(named, message["joint_names"], Setpoints(times, *columns))
+    own = message.get("gnnjax", {})  # not in messages of others
+    # Those of version 0.1 tell neither.
+    told = own.keys() & {"held"}
+    named, loads = (own["robot"], _loads(own["held"])) if told else (None, ())
+    return _Read(named, loads, message["joint_names"], Setpoints(times, *columns))
+
+
+def _held(robot: Robot) -> list[dict]:
+    return [load.as_json() for load in robot.loads]
+
+
+def _loads(held: Any) -> tuple[Load, ...]:
+    try:
+        return tuple(load_from_json(load) for load in held)
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError):
+        raise ValueError(f"what the arm held is {brief(held)}") from None
 
 
 class _Form(NamedTuple):

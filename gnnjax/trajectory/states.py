@@ -1,6 +1,6 @@
 """States along a motion: positions, velocities, accelerations and torques at times."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.collision.certify import beyond_limits
 from gnnjax.errors import InputError, check_number
 from gnnjax.trajectory.curve import Curve, places
+from gnnjax.trajectory.jerk import Profile
 from gnnjax.trajectory.limits import Limits
 from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import Trajectory
@@ -31,7 +32,9 @@ class Setpoints(NamedTuple):
 def sample_trajectory(robot: Robot, trajectory: Trajectory, dt: float) -> Setpoints:
     """States of a motion every `dt` seconds, and at its end.
 
-    Torques are those of MuJoCo's inverse dynamics, without contacts, and of dry friction.
+    They are exact: how much accelerations differ from one to the next, by the time between them, is
+    within a limit of jerk. The last step may be shorter than `dt`. Torques are those of MuJoCo's
+    inverse dynamics, without contacts, and of dry friction.
 
     Raises:
         InputError: no motion, or a step that is none.
@@ -68,6 +71,9 @@ def movement(
     else:
         way, speed, push = profile.at(times)
         at = np.interp(way, curve.grid, np.arange(len(curve.grid)))
+        # Some microseconds around a stop, the way is the stop's up to rounding: the arm would be
+        # on one side of its corner while it still accelerates on the other.
+        at = np.clip(at, *_stretches_at(curve, profile, times))
     speed = np.maximum(speed, 0.0)[:, None]
     place = places(curve, at)
     positions = np.asarray(place.q)
@@ -114,20 +120,35 @@ def _places_at(
     return at, begin + u * since, u
 
 
+def _stretches_at(curve: Curve, profile: Profile, times: np.ndarray) -> tuple[Any, Any]:
+    """Grid points `[T]` twice, between which the motion is: the stops before and behind."""
+    stops = np.flatnonzero(curve.stops)
+    moves = np.diff(curve.grid[stops]) > 0
+    first, last = stops[:-1][moves], stops[1:][moves]
+    if len(first) < 2:
+        return 0, len(curve.grid) - 1
+    # A stretch begins with the last piece that is at rest where it begins, without any rounding.
+    rests = np.asarray(profile.speed) == 0
+    begins = [np.flatnonzero(rests & (profile.way == curve.grid[x]))[-1] for x in first]
+    row = np.searchsorted(np.asarray(profile.times)[begins], times, side="right") - 1
+    return first[row], last[row]
+
+
 def followed(
     robot: Robot, trajectory: Trajectory | Setpoints, dt: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times `[T]`, positions and velocities `[T D]` of a motion, or of those states of one that are
-    given.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """Times `[T]`, positions, velocities and accelerations `[T D]` of a motion; or of those states
+    of one that are given, whose accelerations are not known to be what they should.
 
     Raises:
         InputError: no motion, or none of this arm.
     """
     if isinstance(trajectory, Trajectory):
         times = sample_times(trajectory, dt)
-        positions, velocities, _ = movement(trajectory, times)
+        positions, velocities, accelerations = movement(trajectory, times)
     elif isinstance(trajectory, Setpoints):
         times, positions, velocities = (np.asarray(x, float) for x in trajectory[:3])
+        accelerations = None
     else:
         raise InputError(
             f"a {type(trajectory).__name__} is no motion; give plan.trajectory, of a plan with "
@@ -136,7 +157,7 @@ def followed(
     # All that is followed; what else was given is computed anew.
     points = Setpoints(times, positions, velocities, velocities, velocities)
     check_setpoints(robot, points, "the motion", "give what sample_trajectory returns")
-    return times, positions, velocities
+    return times, positions, velocities, accelerations
 
 
 def check_step(dt: float) -> None:
