@@ -72,6 +72,12 @@ def held_bodies(robot: Robot) -> list[int]:
     return [i for i, body in enumerate(robot.bodies) if body.name.startswith(f"{_HELD}_")]
 
 
+def last_link(robot: Robot) -> int:
+    """Index of the arm's last body, but for what it holds, which may hang on one before."""
+    held = held_bodies(robot)
+    return max(b for b in range(len(robot.bodies)) if b not in held)
+
+
 def arm_key(robot: Robot) -> np.uint32:
     """Tells arms with other bodies apart."""
     return np.uint32(zlib.crc32("\n".join(body.name for body in robot.bodies).encode()))
