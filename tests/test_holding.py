@@ -272,6 +272,23 @@ def test_what_cannot_be_held_is_refused_in_one_sentence(tiny, tiny_path, tmp_pat
         robot.attach(**arguments)
 
 
+def test_an_arm_of_a_relative_path_holds_things_in_whatever_folder(
+    tiny_path, tmp_path, monkeypatch
+):
+    (tmp_path / "m.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4"
+    )
+    mesh = '<asset><mesh name="m" file="m.obj" scale="0.1 0.1 0.1"/></asset></mujoco>'
+    text = tiny_path.read_text().replace("</mujoco>", mesh)
+    look = '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/></worldbody>'
+    text = text.replace("</worldbody>", look)
+    (tmp_path / "arm.xml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    robot = load_robot("arm.xml")
+    monkeypatch.chdir("/")
+    assert len(robot.attach("lower", [sphere([0.3, 0, 0], 0.02)]).parts) == len(robot.parts) + 1
+
+
 def test_a_file_says_what_is_held(tiny, tmp_path):
     path = tmp_path / "held.json"
     given = {"center": [0.3, 0.02, 0.0], "half_extents": [0.1, 0.02, 0.06], "quat": TURNED.tolist()}

@@ -174,7 +174,7 @@ def load_robot(
     path = Path(robot)
     written = path.stat() if path.is_file() else None
     return _load(
-        path,
+        path.absolute() if written else path,  # meshes are read again by whoever adds to the arm
         written and (written.st_mtime_ns, written.st_size),
         None if joints is None else tuple(joints),
         tuple(sorted((name, float(value)) for name, value in held.items())),
