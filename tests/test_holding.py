@@ -22,6 +22,7 @@ from gnnjax.plot import draw_plan
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.problems.shards import load_problems
+from gnnjax.scene.allowed import held_bodies
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
 from gnnjax.scene.pose import Pose
@@ -228,6 +229,11 @@ def test_an_arm_that_holds_two_things_is_no_other_arm(tiny, holding, tmp_path):
     assert [part.name for part in both.parts[-2:]] == ["held_box_0", "held_sphere_0"]
     for part, g in zip(both.parts, both.part_geom_ids.tolist(), strict=True):
         assert both.mj_model.geom_bodyid[g] == part.body + 1
+    # The last that was taken is what problems are about, whichever link holds it.
+    holders = "middle", "lower"
+    turned = functools.reduce(lambda arm, body: arm.attach(body, [THINGS["box"]]), holders, tiny)
+    found = [turned.bodies[turned.bodies[b].parent].name for b in held_bodies(turned)]
+    assert tuple(found) == holders
     scene = make_scene([], [])
     problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(tiny.home, tiny.home, scene))
     save_problems(tmp_path / "p.npz", ProblemSet(other.name, problems))
