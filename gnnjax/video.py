@@ -15,6 +15,7 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, needs_extra, one_line
 from gnnjax.files import atomic_write, check_target
+from gnnjax.scene.allowed import last_link
 from gnnjax.scene.mujoco_world import obstacles, place_boxes, world_spec
 from gnnjax.scene.scene import Scene
 
@@ -76,7 +77,7 @@ def _frames(
     for number, q in enumerate(shots):
         data.qpos = q
         mujoco.mj_forward(model, data)
-        tips[number] = data.xpos[robot.mj_model.nbody - 1]
+        tips[number] = data.xpos[last_link(robot) + 1]
         places = data.geom_xpos[robot.part_geom_ids]
         low, high = np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))
     camera = mujoco.MjvCamera()

@@ -176,6 +176,20 @@ def test_meshes_of_an_mjcf_are_whole_and_read_anew_once_edited(tmp_path, how):
             read(path)
 
 
+def test_a_circle_of_couplings_needs_a_value_unless_it_agrees(tmp_path):
+    circle = (
+        '<equality><joint joint1="right" joint2="left" polycoef="0.01 0.5 0 0 0"/>'
+        '<joint joint1="left" joint2="right" polycoef="0.01 0.5 0 0 0"/></equality>'
+    )
+    path = written(tmp_path, circle)
+    with pytest.raises(InputError, match=r"'right' of .* follows joints that follow it, and none"):
+        load_robot(path)
+    held = load_robot(path, hold={"left": 0.01}).held
+    assert held == pytest.approx({"left": 0.01, "right": 0.015})
+    same = written(tmp_path, circle.replace("0.01 0.5", "0 1"))
+    assert load_robot(same).held == pytest.approx({"left": 0.03, "right": 0.03})
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

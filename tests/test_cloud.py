@@ -668,3 +668,10 @@ def test_other_bad_input_is_refused_or_warned_of(tmp_path):
     (tmp_path / "a.txt").write_text("0 0 0")
     with pytest.raises(InputError, match="is none of"):
         points_from_file(tmp_path / "a.txt")
+
+
+def test_points_are_no_trouble_to_an_arm_whose_base_has_no_geometry(tiny_path, tmp_path):
+    ball = '<geom type="sphere" size="0.1" contype="1" conaffinity="1"/>'
+    path = tmp_path / "bare.xml"
+    path.write_text(tiny_path.read_text().replace(ball, ""))
+    assert base_clear(load_robot(path), scene_from_points([[0.0, 0.0, 0.0]])).all()

@@ -365,7 +365,7 @@ def test_the_guided_planner_is_warm_before_it_is_timed(tiny_path, problems, tmp_
     query = load_problems(problems, planner.robot).take(slice(1)).problems
     planner.warm_up(jax.tree.map(lambda x: x[0], query.scene))
     own, check = planner.strategy, planner._tester(True)._check
-    functions = [own._first, own._later, own._sampled, own.shortcuts, check]
+    functions = [own._first, own._later, own._sampled, own.looks.shortcuts, check]
     sizes = [f._cache_size() for f in functions]
     assert min(sizes[2:3] if case.sampled else [*sizes[:2], *sizes[3:]]) >= 1
     found = evaluate(case, planner)

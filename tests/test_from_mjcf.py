@@ -200,10 +200,15 @@ def test_a_first_link_that_hangs_in_the_world_is_where_its_joint_is_at_zero(tmp_
         scene = scene_from_mjcf(written(tmp_path, alone), robot=robot, keyframe=keyframe)
         assert kinds_of(scene) == ["sphere"]  # not the arm's own sphere in the world
         np.testing.assert_allclose(scene.centers[0], [1, 2, 3], atol=1e-6)
-    # Held, it is the base, and stands where it is held.
-    scene = scene_from_mjcf(written(tmp_path, alone), robot=load_robot(tiny_path, hold={"a": 0.7}))
+    # Held, it is the base, and stands where it is held, whether or not MuJoCo would fuse it.
     cos, sin = np.cos(0.7), np.sin(0.7)
-    np.testing.assert_allclose(scene.centers[0], [cos + 2 * sin, 2 * cos - sin, 3], atol=1e-6)
+    for more in ("", ' fusestatic="true"'):
+        own, world = (
+            written(tmp_path, x.replace("<compiler", f"<compiler{more}"), name)
+            for x, name in ((text, "own.xml"), (alone, "world.xml"))
+        )
+        scene = scene_from_mjcf(world, robot=load_robot(own, hold={"a": 0.7}))
+        np.testing.assert_allclose(scene.centers[0], [cos + 2 * sin, 2 * cos - sin, 3], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["kuka_iiwa14", "franka_panda"])

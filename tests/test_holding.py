@@ -22,6 +22,7 @@ from gnnjax.plot import draw_plan
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.problems.shards import load_problems
+from gnnjax.scene.allowed import held_bodies
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
 from gnnjax.scene.pose import Pose
@@ -228,6 +229,11 @@ def test_an_arm_that_holds_two_things_is_no_other_arm(tiny, holding, tmp_path):
     assert [part.name for part in both.parts[-2:]] == ["held_box_0", "held_sphere_0"]
     for part, g in zip(both.parts, both.part_geom_ids.tolist(), strict=True):
         assert both.mj_model.geom_bodyid[g] == part.body + 1
+    # The last that was taken is what problems are about, whichever link holds it.
+    holders = "middle", "lower"
+    turned = functools.reduce(lambda arm, body: arm.attach(body, [THINGS["box"]]), holders, tiny)
+    found = [turned.bodies[turned.bodies[b].parent].name for b in held_bodies(turned)]
+    assert tuple(found) == holders
     scene = make_scene([], [])
     problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(tiny.home, tiny.home, scene))
     save_problems(tmp_path / "p.npz", ProblemSet(other.name, problems))
@@ -270,6 +276,23 @@ def test_what_cannot_be_held_is_refused_in_one_sentence(tiny, tiny_path, tmp_pat
     arguments = {"body": "lower", "shapes": [THINGS["box"]], **change}
     with pytest.raises(InputError, match=message):
         robot.attach(**arguments)
+
+
+def test_an_arm_of_a_relative_path_holds_things_in_whatever_folder(
+    tiny_path, tmp_path, monkeypatch
+):
+    (tmp_path / "m.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4"
+    )
+    mesh = '<asset><mesh name="m" file="m.obj" scale="0.1 0.1 0.1"/></asset></mujoco>'
+    text = tiny_path.read_text().replace("</mujoco>", mesh)
+    look = '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/></worldbody>'
+    text = text.replace("</worldbody>", look)
+    (tmp_path / "arm.xml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    robot = load_robot("arm.xml")
+    monkeypatch.chdir("/")
+    assert len(robot.attach("lower", [sphere([0.3, 0, 0], 0.02)]).parts) == len(robot.parts) + 1
 
 
 def test_a_file_says_what_is_held(tiny, tmp_path):

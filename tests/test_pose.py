@@ -15,6 +15,7 @@ from gnnjax.pose.chain import chain_of, kinematics
 from gnnjax.pose.goal import PoseGoal, tool_frame
 from gnnjax.pose.inverse import inverse_kinematics
 from gnnjax.scene.scene import make_scene
+from gnnjax.scene.shapes import sphere
 
 SIX = """
 <mujoco model="six">
@@ -282,6 +283,8 @@ def test_a_quaternion_that_is_nearly_of_length_1_is_normalized(six):
 def test_the_default_frame_is_the_tool_or_else_the_last_body(six, tiny):
     assert tool_frame(six).name == "tool"
     assert tool_frame(tiny).name == "lower"
+    laden = tiny.attach("upper", [sphere([0.1, 0, 0.1], 0.01)])  # hangs there after "lower"
+    assert tool_frame(laden).name == "lower"
     for name in ("kuka_iiwa14", "kinova_gen3", "franka_panda"):
         assert tool_frame(load_robot(name)).name == "tool"
     with pytest.raises(InputError, match="'link_0' of kuka_iiwa14 is moved by no joint"):

@@ -19,6 +19,7 @@ _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _EQ_JOINT = int(mujoco.mjtEq.mjEQ_JOINT)
 _EQ_TENDON = int(mujoco.mjtEq.mjEQ_TENDON)
+_SAME = 1e-6  # rad or m
 _TRN_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _TRN_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
@@ -97,7 +98,12 @@ def choose_joints(
                 f"{upper:g}"
             )
         held[j] = float(value)
-    _follow(model, couplings.drivers, held, {names.index(name) for name in hold})
+    if restless := _follow(model, couplings.drivers, held, {names.index(name) for name in hold}):
+        name = names[restless[0]]
+        raise InputError(
+            f"joint {name!r} of {str(path)!r} follows joints that follow it, and none is where the "
+            f"others have it; give a value, hold={{{name!r}: ...}}"
+        )
     return Choice(chosen, held)
 
 
@@ -147,16 +153,22 @@ def _follow(
     drivers: dict[int, tuple[int, np.ndarray]],
     held: dict[int, float],
     fixed: set[int],
-) -> None:
-    """Puts held joints where their coupling has them, but for those with a value of their own."""
-    for _ in range(len(drivers)):  # chains of them
+) -> list[int]:
+    """Puts held joints where their coupling has them, but for those with a value of their own;
+    those that would go on moving are in a circle."""
+    moved: list[int] = []
+    for _ in range(len(drivers) + 1):  # chains of them
+        moved = []
         for j, (driver, poly) in drivers.items():
             if j in held and j not in fixed and (driver < 0 or driver in held):
                 x = 0.0 if driver < 0 else held[driver] - model.qpos0[model.jnt_qposadr[driver]]
                 value = model.qpos0[model.jnt_qposadr[j]] + np.polyval(poly[::-1], x)
                 if model.jnt_limited[j]:
                     value = np.clip(value, *model.jnt_range[j])
+                if abs(value - held[j]) > _SAME:
+                    moved.append(j)
                 held[j] = float(value)
+    return moved
 
 
 def hold_joints(spec: mujoco.MjSpec, model: mujoco.MjModel, held: Mapping[int, float]) -> None:

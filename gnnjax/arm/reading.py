@@ -58,6 +58,7 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     else:
         check_meshes(path)
         spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # the base stays a body, and bodies keep their names
     model, notes = spec.compile(), said
     check_numbers(model, path)
     if soft := soft_bodies(model):

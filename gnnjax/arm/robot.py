@@ -176,7 +176,7 @@ def load_robot(
         )
     path = Path(robot)
     return _load(
-        path,
+        path.absolute() if path.is_file() else path,  # whoever adds to the arm reads it again
         written(path) if path.suffix else (),
         None if joints is None else tuple(joints),
         tuple(sorted((name, float(value)) for name, value in held.items())),

@@ -221,7 +221,8 @@ def clear_of_base(body: Spheres, obstacles: Obstacles) -> np.ndarray:
         return clear
     sphere, scene = np.indices((len(radii), obstacles.exists.shape[1])).reshape(2, -1)
     gap = obstacles.cloud_distances(points[:, sphere], scene) - radii[sphere]
-    of_clouds = np.all((gap > 0).reshape(len(radii), -1), axis=0, keepdims=True)
+    shape = len(radii), obstacles.exists.shape[1]  # also without any sphere
+    of_clouds = np.all((gap > 0).reshape(shape), axis=0, keepdims=True)
     return np.concatenate([clear, of_clouds])
 
 

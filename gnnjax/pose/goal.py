@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
+from gnnjax.scene.allowed import last_link
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 _TOOL = "tool"  # a site of that name is what poses are of
@@ -39,7 +40,7 @@ class ToolFrame(NamedTuple):
 
 def tool_frame(robot: Robot, name: str | None = None) -> ToolFrame:
     """The frame of a site or body; by default of the site "tool", or where there is none, of the
-    last body.
+    last body, but for what the arm holds.
 
     Raises:
         InputError: no site or body has the name, or no joint moves it.
@@ -54,7 +55,7 @@ def tool_frame(robot: Robot, name: str | None = None) -> ToolFrame:
         body = int(model.site_bodyid[site]) - 1
         place = model.site_pos[site].copy(), quat_to_matrix(model.site_quat[site])
     elif name is None or name in bodies:
-        body = len(bodies) - 1 if name is None else bodies.index(name)
+        body = last_link(robot) if name is None else bodies.index(name)
         place = np.zeros(3), np.eye(3)
     else:
         known = [x for x in (*sites, *bodies) if x]
@@ -65,8 +66,7 @@ def tool_frame(robot: Robot, name: str | None = None) -> ToolFrame:
         body = robot.bodies[body].parent
     if not any(robot.bodies[b].joints for b in chain):
         raise InputError(f"{name!r} of {robot.name} is moved by no joint; choose another frame")
-    called = name or bodies[-1] or "the last body"
-    return ToolFrame(called, tuple(chain), *place)
+    return ToolFrame(name or bodies[chain[-1]] or "the last body", tuple(chain), *place)
 
 
 def check_goal(goal: PoseGoal) -> tuple[np.ndarray, np.ndarray]:

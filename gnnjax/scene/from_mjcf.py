@@ -206,6 +206,7 @@ def _compiled(path: str | Path, called: str) -> mujoco.MjModel:
         with without_warnings():
             spec = mujoco.MjSpec.from_file(str(path))
             spec.compiler.discardvisual = False  # what is no obstacle is told of
+            spec.compiler.fusestatic = False  # bodies keep their names, as those of robots do
             return spec.compile()
     except ValueError as error:
         raise InputError(f"MuJoCo cannot read {called}: {str(error).strip()}") from None

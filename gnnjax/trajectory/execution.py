@@ -13,6 +13,7 @@ from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.margins import largest_margin
 from gnnjax.errors import InputError, check_number
+from gnnjax.scene.allowed import last_link
 from gnnjax.scene.mujoco_world import obstacles
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
 from gnnjax.trajectory.control import control
@@ -252,7 +253,7 @@ def _tips(robot: Robot, q: np.ndarray) -> np.ndarray:
     for row in range(len(q)):
         data.qpos = q[row]
         mujoco.mj_kinematics(robot.mj_model, data)
-        found[row] = data.xpos[-1]
+        found[row] = data.xpos[last_link(robot) + 1]
     return found
 
 

@@ -17,6 +17,7 @@ from gnnjax.arm.mjcf import without_warnings
 from gnnjax.arm.robot import Robot
 from gnnjax.devices import num_cores
 from gnnjax.errors import InputError, check_number
+from gnnjax.scene.allowed import last_link
 from gnnjax.scene.mujoco_world import obstacles, place_boxes, world_spec
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.control import Law
@@ -81,7 +82,7 @@ def build_true_world(robot: Robot, scene: Scene, errors: ModelErrors) -> mujoco.
     spec.option.disableflags |= int(_FLAGS.mjDSBL_ACTUATION) | int(_FLAGS.mjDSBL_AUTORESET)
     if errors.payload:
         inertia = 0.4 * errors.payload * _PAYLOAD_RADIUS**2
-        spec.bodies[robot.mj_model.nbody - 1].add_body(
+        spec.bodies[last_link(robot) + 1].add_body(
             mass=errors.payload, inertia=[inertia] * 3, ipos=[0.0, 0.0, 0.0], explicitinertial=True
         )
     spec.add_sensor(type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=_DEEPEST)
