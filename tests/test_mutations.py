@@ -1,7 +1,8 @@
 """Damaged inputs are read or refused in one line; `python -m tests.mutations` reads a thousand."""
 
 import pytest
-from mutations import KINDS, try_kind
+
+from tests.mutations import KINDS, try_kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
