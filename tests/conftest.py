@@ -5,6 +5,7 @@ import functools
 import gc
 import os
 
+import tests.typed  # noqa: F401  before what it makes faster
 from tests.compiling import ENVIRONMENT
 
 os.environ.update(ENVIRONMENT)  # which commands that tests start read, too
@@ -12,7 +13,6 @@ os.environ.update(ENVIRONMENT)  # which commands that tests start read, too
 import pytest
 from _pytest.unraisableexception import gc_collect_iterations_key
 from jax._src.api import clean_up
-from jaxtyping import _decorator
 
 from gnnjax.arm import covers
 from gnnjax.arm.robot import load_robot
@@ -33,25 +33,6 @@ _ALL_SIZES = [(module, name, getattr(module, name)) for module, name, _ in _ONE_
 for _setting in _ONE_SIZE:
     setattr(*_setting)
 
-
-def _once(make):
-    """What `make` made of the same arguments before; of lists and arrays it makes it anew."""
-    remembered = functools.cache(make)
-
-    def make_once(*args, **kwargs):
-        try:
-            hash((args, *kwargs.values()))
-        except TypeError:
-            return make(*args, **kwargs)
-        return remembered(*args, **kwargs)
-
-    return make_once
-
-
-# Types are checked in functions within functions, too. What checks those of a signature is made
-# once, not each time that the outer function is called, which took longer than many a test.
-for _name in ("_make_fn_with_signature", "_apply_typechecker"):
-    setattr(_decorator, _name, _once(getattr(_decorator, _name)))
 
 TINY = """
 <mujoco model="tiny">
