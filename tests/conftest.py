@@ -3,7 +3,9 @@
 import atexit
 import functools
 import gc
+import importlib.util
 import os
+import runpy
 
 import tests.typed  # noqa: F401  before what it makes faster
 from tests.compiling import ENVIRONMENT
@@ -100,6 +102,19 @@ def all_sizes():
         for setting in _ALL_SIZES:
             patch.setattr(*setting)
         yield
+
+
+@pytest.fixture
+def run_as_command(monkeypatch, capsys):
+    """Runs `python -m module words` in this process: the status, and what was printed and said."""
+
+    def run(module, *words):
+        monkeypatch.setattr("sys.argv", [module, *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(importlib.util.find_spec(module).origin, run_name="__main__")
+        return ended.value.code, *capsys.readouterr()
+
+    return run
 
 
 @pytest.fixture
