@@ -2,8 +2,8 @@
 
     python -m tests.mutations --number 1000 --seed 0
 
-Each kind of input is read in a process of its own, so that a crash inside of a parser written in C
-or reading without end is seen as what it is.
+They are read in another process, so that a crash inside of a parser written in C or reading without
+end is seen as what it is.
 """
 
 import argparse
@@ -57,7 +57,6 @@ def judge(read: Callable[[], object]) -> str:
 
 def read_kind(kind: str, numbers: range, seed: int) -> None:
     """Reads some mutated inputs of a kind; a line each, begun before it is read."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         make = KINDS[kind][0](folder)
@@ -66,7 +65,7 @@ def read_kind(kind: str, numbers: range, seed: int) -> None:
             rng = random.Random(f"{kind} {seed} {number}")
             path = folder / f"input{number}"
             read = make(rng, path)
-            print(json.dumps([number, "begun"]), flush=True)
+            print(json.dumps([kind, number, "begun"]), flush=True)
             signal.alarm(_LIMIT_S)
             with tempfile.TemporaryFile() as words:
                 terminal = os.dup(2)
@@ -78,27 +77,30 @@ def read_kind(kind: str, numbers: range, seed: int) -> None:
                 if said := words.read():  # by a library, past the error
                     outcome += f" and said {said[:300]!r}"
             signal.alarm(0)
-            print(json.dumps([number, outcome]), flush=True)
+            print(json.dumps([kind, number, outcome]), flush=True)
             shutil.rmtree(path, ignore_errors=True)
         os.chdir("/")
 
 
-def try_kind(kind: str, number: int, seed: int) -> dict[int, str]:
-    """What became of each of `number` inputs; begins anew after one that ends the process."""
-    outcomes: dict[int, str] = {}
-    first = 0
-    while first < number:
-        command = [sys.executable, "-m", "tests.mutations", "--kind", kind, "--first", str(first)]
-        command += ["--number", str(number), "--seed", str(seed)]
+def try_kinds(numbers: dict[str, int], seed: int) -> dict[str, dict[int, str]]:
+    """What became of inputs of each kind; begins anew after one that ends the process."""
+    outcomes: dict[str, dict[int, str]] = {kind: {} for kind in numbers}
+    left = {kind: range(number) for kind, number in numbers.items()}
+    while left:
+        command = [sys.executable, "-m", "tests.mutations", "--seed", str(seed), "--read"]
+        command += [f"{kind}:{own.start}:{own.stop}" for kind, own in left.items()]
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", cwd=_ROOT)
         rows = [json.loads(x) for x in done.stdout.splitlines() if x.startswith("[")]
         if not rows:
-            raise RuntimeError(f"{kind}: nothing was read\n{done.stderr[-2000:]}")
-        outcomes |= dict(rows)
-        last = rows[-1][0]
-        if outcomes[last] == "begun":
-            outcomes[last] = f"the process ended with {done.returncode}: {done.stderr[-300:]!r}"
-        first = last + 1
+            raise RuntimeError(f"{next(iter(left))}: nothing was read\n{done.stderr[-2000:]}")
+        for kind, number, outcome in rows:
+            outcomes[kind][number] = outcome
+        kind, number, outcome = rows[-1]
+        if outcome == "begun":
+            ended = f"the process ended with {done.returncode}: {done.stderr[-300:]!r}"
+            outcomes[kind][number] = ended
+        left = {k: range(len(outcomes[k]), own.stop) for k, own in left.items()}
+        left = {k: own for k, own in left.items() if own}
     return outcomes
 
 
@@ -106,15 +108,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--number", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--kind", choices=list(KINDS), help="read this kind here, for debugging")
-    parser.add_argument("--first", type=int, default=0, help="with --kind: the first input")
+    parser.add_argument("--read", nargs="+", help="inputs to read here, as arms:7:9 for 7 and 8")
     arguments = parser.parse_args()
-    if arguments.kind:
-        read_kind(arguments.kind, range(arguments.first, arguments.number), arguments.seed)
+    if arguments.read:
+        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+        for kind, first, end in (words.split(":") for words in arguments.read):
+            read_kind(kind, range(int(first), int(end)), arguments.seed)
         return 0
     wrong = 0
-    for kind, (_, share) in KINDS.items():
-        outcomes = try_kind(kind, round(share * arguments.number), arguments.seed)
+    numbers = {kind: round(share * arguments.number) for kind, (_, share) in KINDS.items()}
+    for kind, outcomes in try_kinds(numbers, arguments.seed).items():
         counts = [sum(x == y for x in outcomes.values()) for y in ("read", "refused")]
         print(f"{kind}: {len(outcomes)} inputs, {counts[0]} read, {counts[1]} refused", flush=True)
         for number, outcome in outcomes.items():
