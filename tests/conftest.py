@@ -118,15 +118,25 @@ def run_as_command(monkeypatch, capsys):
 
 
 @pytest.fixture
-def experiments_remember(monkeypatch):
-    """Experiments keep one planner, and forget what others have compiled; here all is kept. Their
-    figures are small."""
-    from experiments import measure, record
+def small_figures(monkeypatch):
+    """Figures of experiments have few pixels, and are not laid out, which takes as long again."""
+    from experiments import record
+
+    def save_small(figure, path, save=record.save_figure):
+        figure.set_dpi(20)
+        figure.set_layout_engine("none")
+        save(figure, path)
+
+    monkeypatch.setattr(record, "save_figure", save_small)
+
+
+@pytest.fixture
+def experiments_remember(monkeypatch, small_figures):
+    """Experiments keep one planner, and forget what others have compiled; here all is kept."""
+    from experiments import measure
 
     monkeypatch.setattr("jax.clear_caches", lambda: None)
     monkeypatch.setattr(measure, "_planner", functools.cache(measure._planner.__wrapped__))
-    save = record.save_figure
-    monkeypatch.setattr(record, "save_figure", lambda *x: (x[0].set_dpi(20), save(*x)))
 
 
 def pytest_collection_finish():
