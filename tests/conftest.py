@@ -148,9 +148,10 @@ def pytest_collection_finish():
 
 # Files that take longest come first, so that no worker is left with one of them at the end.
 _LONG = (
-    "mjx collision cloud families train evaluate planner certify_campaign guided_planner model "
-    "guides experiments allowed train_motion notebooks engine mjcf search classical certify "
-    "holding benchmark_collision convex field ablation fit roadmap rounds assets"
+    "collision mjx families cloud_checks timing planner train guided_planner experiments evaluate "
+    "fit guides holding engine model allowed accelerator turns certify_campaign mjcf train_motion "
+    "classical torques urdf ablation real_arm obstacles search digest sequences processes "
+    "benchmark_collision mutations motion rounds certify"
 ).split()
 
 
