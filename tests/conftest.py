@@ -144,6 +144,7 @@ def pytest_collection_finish():
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 # Files that take longest come first, so that no worker is left with one of them at the end.
@@ -157,6 +158,7 @@ _LONG = (
 
 def pytest_configure(config):
     """Leaves the freeing of all that was compiled to the end of the process."""
+    gc.disable()  # until all is imported, of which nothing is garbage
     config.stash[gc_collect_iterations_key] = 0
     atexit.unregister(clean_up)
 
