@@ -139,7 +139,8 @@ class _Walk:
     def function(self, value: types.FunctionType) -> None:
         module = value.__globals__.get("__name__", "")
         root = module.partition(".")[0]
-        if root == "jaxtyping" and hasattr(value, "__wrapped__"):  # checks types, and calls it
+        checks_types = root == "jaxtyping" or hasattr(value, "__beartype_wrapper")
+        if checks_types and hasattr(value, "__wrapped__"):  # which is called
             return self.add(value.__wrapped__)
         if not _of_package(module) and root not in _KNOWN:
             raise Undigested(f"the function {module}.{value.__qualname__}")

@@ -3,8 +3,11 @@
 import atexit
 import functools
 import gc
+import importlib.util
 import os
+import runpy
 
+import tests.typed  # noqa: F401  before what it makes faster
 from tests.compiling import ENVIRONMENT
 
 os.environ.update(ENVIRONMENT)  # which commands that tests start read, too
@@ -12,7 +15,6 @@ os.environ.update(ENVIRONMENT)  # which commands that tests start read, too
 import pytest
 from _pytest.unraisableexception import gc_collect_iterations_key
 from jax._src.api import clean_up
-from jaxtyping import _decorator
 
 from gnnjax.arm import covers
 from gnnjax.arm.robot import load_robot
@@ -33,25 +35,6 @@ _ALL_SIZES = [(module, name, getattr(module, name)) for module, name, _ in _ONE_
 for _setting in _ONE_SIZE:
     setattr(*_setting)
 
-
-def _once(make):
-    """What `make` made of the same arguments before; of lists and arrays it makes it anew."""
-    remembered = functools.cache(make)
-
-    def make_once(*args, **kwargs):
-        try:
-            hash((args, *kwargs.values()))
-        except TypeError:
-            return make(*args, **kwargs)
-        return remembered(*args, **kwargs)
-
-    return make_once
-
-
-# Types are checked in functions within functions, too. What checks those of a signature is made
-# once, not each time that the outer function is called, which took longer than many a test.
-for _name in ("_make_fn_with_signature", "_apply_typechecker"):
-    setattr(_decorator, _name, _once(getattr(_decorator, _name)))
 
 TINY = """
 <mujoco model="tiny">
@@ -122,15 +105,38 @@ def all_sizes():
 
 
 @pytest.fixture
-def experiments_remember(monkeypatch):
-    """Experiments keep one planner, and forget what others have compiled; here all is kept. Their
-    figures are small."""
-    from experiments import measure, record
+def run_as_command(monkeypatch, capsys):
+    """Runs `python -m module words` in this process: the status, and what was printed and said."""
+
+    def run(module, *words):
+        monkeypatch.setattr("sys.argv", [module, *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(importlib.util.find_spec(module).origin, run_name="__main__")
+        return ended.value.code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def small_figures(monkeypatch):
+    """Figures of experiments have few pixels, and are not laid out, which takes as long again."""
+    from experiments import record
+
+    def save_small(figure, path, save=record.save_figure):
+        figure.set_dpi(20)
+        figure.set_layout_engine("none")
+        save(figure, path)
+
+    monkeypatch.setattr(record, "save_figure", save_small)
+
+
+@pytest.fixture
+def experiments_remember(monkeypatch, small_figures):
+    """Experiments keep one planner, and forget what others have compiled; here all is kept."""
+    from experiments import measure
 
     monkeypatch.setattr("jax.clear_caches", lambda: None)
     monkeypatch.setattr(measure, "_planner", functools.cache(measure._planner.__wrapped__))
-    save = record.save_figure
-    monkeypatch.setattr(record, "save_figure", lambda *x: (x[0].set_dpi(20), save(*x)))
 
 
 def pytest_collection_finish():
@@ -138,18 +144,21 @@ def pytest_collection_finish():
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 # Files that take longest come first, so that no worker is left with one of them at the end.
 _LONG = (
-    "mjx collision cloud families train evaluate planner certify_campaign guided_planner model "
-    "guides experiments allowed train_motion notebooks engine mjcf search classical certify "
-    "holding benchmark_collision convex field ablation fit roadmap rounds assets"
+    "collision mjx families cloud_checks timing planner train guided_planner experiments evaluate "
+    "fit guides holding engine model allowed accelerator turns certify_campaign mjcf train_motion "
+    "classical torques urdf ablation real_arm obstacles search digest sequences processes "
+    "benchmark_collision mutations motion rounds certify"
 ).split()
 
 
 def pytest_configure(config):
     """Leaves the freeing of all that was compiled to the end of the process."""
+    gc.disable()  # until all is imported, of which nothing is garbage
     config.stash[gc_collect_iterations_key] = 0
     atexit.unregister(clean_up)
 

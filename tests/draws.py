@@ -3,8 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from gnnjax.scene.scene import make_scene
+from gnnjax.scene.scene import Scene, box_scene, make_scene
 
 
 def random_configurations(rng, robot, num):
@@ -19,3 +20,16 @@ def random_boxes(rng, num, *, rotated=True, reach=0.9):
     quats = rng.normal(size=(num, 4)) if rotated else None
     scene = make_scene(centers, rng.uniform(0.05, 0.25, (num, 3)), quats)
     return jax.tree.map(jnp.asarray, scene)
+
+
+def boxes_and_padding(seed=0, num_boxes=4, padding=2) -> Scene:
+    """Rotated boxes, and padding that has a size, too."""
+    rng = np.random.default_rng(seed)
+    total = num_boxes + padding
+    quats = Rotation.random(total, rng=rng).as_quat(scalar_first=True)
+    return box_scene(
+        centers=jnp.asarray(rng.uniform(-0.8, 0.8, (total, 3)), jnp.float32),
+        half_extents=jnp.asarray(rng.uniform(0.15, 0.5, (total, 3)), jnp.float32),
+        quats=jnp.asarray(quats, jnp.float32),
+        mask=jnp.asarray(np.arange(total) < num_boxes),
+    )

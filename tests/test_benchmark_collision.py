@@ -6,13 +6,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tyro
 
 from experiments.benchmark_collision import BenchmarkConfig, main
 from experiments.operations import operations
 from gnnjax.errors import InputError
 
 
-def test_backends_agree_and_results_are_written(tiny_path, tmp_path, capsys):
+def test_backends_agree_and_results_are_written(tiny_path, tmp_path, monkeypatch, capsys):
+    cores = []
+    monkeypatch.setattr("os.sched_setaffinity", lambda _, some: cores.append(len(some)))
+
+    def run(command, **_):
+        """The second process here in the first, which stays on all cores."""
+        assert command[1:3] == ["-m", main.__module__]
+        main(tyro.cli(BenchmarkConfig, args=command[3:]))
+
+    monkeypatch.setattr("subprocess.run", run)
     path = tmp_path / "out.json"
     config = BenchmarkConfig(
         robot=str(tiny_path),
@@ -26,6 +36,7 @@ def test_backends_agree_and_results_are_written(tiny_path, tmp_path, capsys):
     main(config)
     results = json.loads(path.read_text())
     assert results.keys() == {"all_cores", "one_core"}
+    assert cores == [1]
     for result in results.values():
         assert "mjx rotated" in result["agreement"]["rotated"]["verdicts"]
         assert result["matrix_product_gflops"] > 0

@@ -1,7 +1,5 @@
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -115,9 +113,9 @@ def test_damaged_and_missing_files_are_input_errors(tmp_path):
         convert(ConvertConfig(tmp_path / "none.pkl", tmp_path / "out.npz"))
 
 
-def test_the_command_reports_bad_input_in_one_line(tmp_path):
-    command = [sys.executable, "-m", "experiments.convert_public", "none.pkl", tmp_path / "out.npz"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[1])
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("error: no file")
+def test_the_command_reports_bad_input_in_one_line(tmp_path, run_as_command):
+    words = "none.pkl", tmp_path / "out.npz"
+    status, _, said = run_as_command("experiments.convert_public", *words)
+    assert status == 2
+    assert said.count("\n") == 1
+    assert said.startswith("error: no file")

@@ -422,10 +422,9 @@ def test_bad_arguments_are_refused_in_one_line(
     assert not out.exists()
 
 
-def test_the_command_refuses_what_is_not_there(tmp_path):
-    command = [sys.executable, "-m", "gnnjax.evaluate", "--problems", "missing.npz"]
-    command += ["--json", str(tmp_path / "out.json")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: no problem file 'missing.npz'; check the path")
-    assert len(done.stderr.splitlines()) == 1
+def test_the_command_refuses_what_is_not_there(tmp_path, run_as_command):
+    words = ["--problems", "missing.npz", "--json", tmp_path / "out.json"]
+    status, _, said = run_as_command("gnnjax.evaluate", *words)
+    assert status == 2
+    assert said.startswith("error: no problem file 'missing.npz'; check the path")
+    assert len(said.splitlines()) == 1

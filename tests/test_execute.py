@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -78,10 +76,9 @@ def test_the_command_refuses_what_it_cannot_do(tiny_path, files, tmp_path, chang
         main(config_of(tiny_path, files, "free", **changes))
 
 
-def test_bad_input_is_one_line_and_status_2(files):
-    command = [sys.executable, "-m", "gnnjax.execute", "--robot", "kuka_iiwa14"]
-    command += ["--scene", str(files / "free.json"), "--trajectory", str(files / "motion.npz")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: trajectory file ")
-    assert done.stderr.count("\n") == 1
+def test_bad_input_is_one_line_and_status_2(files, run_as_command):
+    words = ["--scene", files / "free.json", "--trajectory", files / "motion.npz"]
+    status, _, said = run_as_command("gnnjax.execute", "--robot", "kuka_iiwa14", *words)
+    assert status == 2
+    assert said.startswith("error: trajectory file ")
+    assert said.count("\n") == 1

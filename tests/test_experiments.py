@@ -139,6 +139,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     assert rows == earlier  # times too: nothing was run again
 
 
+@pytest.mark.usefixtures("small_figures")
 def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder, monkeypatch):
     def train_motion(made):
         """Training has tests of its own."""

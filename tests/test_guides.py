@@ -152,6 +152,7 @@ def test_a_fit_finds_the_pair_that_labels_were_drawn_with():
 
 
 @pytest.mark.parametrize("name", ["guides", "calibrate_field"])
+@pytest.mark.usefixtures("small_figures")
 def test_quick_forms_write_results_and_go_on(tiny_path, tmp_path, monkeypatch, name):
     made = []
 

@@ -20,6 +20,7 @@ from gnnjax.errors import InputError
 from gnnjax.pose.inverse import inverse_kinematics
 
 
+@pytest.mark.usefixtures("small_figures")
 def test_the_quick_form_writes_results_and_goes_on(tiny_path, tmp_path, monkeypatch):
     measured = []
 

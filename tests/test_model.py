@@ -8,18 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
-from scipy.ndimage import correlate
-from scipy.spatial.transform import Rotation
 
 from gnnjax.errors import InputError
 from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.paper.network import GuidanceNetwork
-from gnnjax.paper.occupancy import HalvingConv, occupancy_grid
 from gnnjax.roadmap.graph import Roadmap
-from gnnjax.scene.scene import Scene, box_scene
+from tests.draws import boxes_and_padding
+from tests.numpy_network import decode, linear, norm, relu, softmax
 
-LOWER, UPPER = (-1.2, -1.2, -0.4), (1.2, 1.2, 1.6)
-drawn = jax.jit(occupancy_grid, static_argnums=(1, 2, 3))
 WALK = [0, 3, 5, 2, 3, 7, 4, 9]  # longer than the memory of the model under test
 
 
@@ -60,18 +56,6 @@ def random_graph(seed=0, num_nodes=12, num_dof=7):
 @jax.jit
 def graph_of(roadmap):
     return graphs_tuple(roadmap, 70)
-
-
-def random_scene(seed=0, num_boxes=4, padding=2) -> Scene:
-    rng = np.random.default_rng(seed)
-    total = num_boxes + padding
-    quats = Rotation.random(total, rng=rng).as_quat(scalar_first=True)
-    return box_scene(
-        centers=jnp.asarray(rng.uniform(-0.8, 0.8, (total, 3)), jnp.float32),
-        half_extents=jnp.asarray(rng.uniform(0.15, 0.5, (total, 3)), jnp.float32),
-        quats=jnp.asarray(quats, jnp.float32),
-        mask=jnp.asarray(np.arange(total) < num_boxes),
-    )
 
 
 def small_network(kind: str, without=()) -> GuidanceNetwork:
@@ -155,78 +139,6 @@ def close(actual, expected, tolerance=2e-5):
     np.testing.assert_allclose(actual, expected, rtol=tolerance, atol=tolerance)
 
 
-# NumPy versions of the layers, from the equations.
-
-
-def linear(layer, x):
-    bias = 0.0 if layer.bias is None else np.asarray(layer.bias[...], np.float64)
-    return x @ np.asarray(layer.kernel[...], np.float64) + bias
-
-
-def norm(layer, x):
-    x = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-6)
-    return x * np.asarray(layer.scale[...]) + np.asarray(layer.bias[...])
-
-
-def relu(x):
-    return np.maximum(x, 0.0)
-
-
-def sigmoid(x):
-    return 1.0 / (1.0 + np.exp(-x))
-
-
-def softmax(x):
-    weights = np.exp(x - x.max())
-    return weights / weights.sum()
-
-
-def gru(cell, hidden, x):
-    c = len(hidden)
-    i, h = linear(cell.dense_i, x), linear(cell.dense_h, hidden)
-    reset, update = sigmoid(i[:c] + h[:c]), sigmoid(i[c : 2 * c] + h[c : 2 * c])
-    return (1.0 - update) * np.tanh(i[2 * c :] + reset * h[2 * c :]) + update * hidden
-
-
-def attend(net, encoding, path, node):
-    """Attention* of a node after a path, with the GRU run over the whole path again."""
-    hidden, codes = np.zeros(net.channels), []
-    for walked in path:
-        hidden = gru(net.gru, hidden, np.asarray(encoding.code[walked]))
-        codes.append(hidden)
-    codes = np.reshape(codes[-net.max_path :], (-1, net.channels))
-    o = np.asarray(encoding.environment[node])
-    keys = linear(net.key_environment, o)
-    queries = np.vstack([linear(net.query_environment, o), linear(net.query_path, codes)])
-    values = np.vstack([linear(net.value_environment, o), linear(net.value_path, codes)])
-    weights = softmax(queries @ keys / np.sqrt(net.channels))
-    return norm(net.attention_norm, weights @ values + o)
-
-
-def decode(net, encoding, path, roadmap, nodes, node, neighbor):
-    """The guidance value of one edge."""
-    x_i, x_j = attend(net, encoding, path, node), attend(net, encoding, [], neighbor)
-    first = linear(net.decoder_node, x_i) + linear(net.decoder_difference, x_i - x_j)
-    first = first + linear(net.decoder_environment, np.asarray(encoding.environment[node]))
-    geometry = None
-    if net.geometric_features:
-        q, goal = nodes / np.pi, nodes[1] / np.pi
-        near, far = np.linalg.norm(q[node] - goal), np.linalg.norm(q[neighbor] - goal)
-        length = np.linalg.norm(q[node] - q[neighbor])
-        geometry = np.array([length, near, far, (near - far) / length])
-        if net.workspace_points:
-            slot = np.argmax(np.asarray(roadmap.neighbors[node]) == neighbor)
-            geometry = np.append(geometry, encoding.through[node, slot])
-        first = first + linear(net.decoder_near_data, np.append(q[node], goal))
-        first = first + linear(net.decoder_far_data, np.append(q[neighbor], goal))
-        first = first + linear(net.decoder_geometry, geometry)
-    decoded = relu(linear(net.decoder_out, relu(first)))
-    value = linear(net.value_out, relu(linear(net.value_hidden, decoded)))
-    if net.geometric_features:
-        value = value + linear(net.value_geometry, geometry)
-    return value[0]
-
-
 def test_node_codes_agree_with_numpy(models):
     net = models["paper"].net
     nodes, adjacent = random_graph()
@@ -276,8 +188,8 @@ def test_a_network_without_a_graph_layer_has_a_linear_one_on_each_node(without):
 def test_a_network_without_grid_sees_no_obstacles():
     model = make_model("paper", ["grid"])
     roadmap = make_roadmap(*random_graph())
-    np.testing.assert_array_equal(model.net.encode_obstacles(random_scene()), np.zeros(8))
-    here, there = (model.encode(model.params, roadmap, random_scene(seed)) for seed in (0, 1))
+    np.testing.assert_array_equal(model.net.encode_obstacles(boxes_and_padding()), np.zeros(8))
+    here, there = (model.encode(model.params, roadmap, boxes_and_padding(seed)) for seed in (0, 1))
     jax.tree.map(np.testing.assert_array_equal, here, there)
 
 
@@ -285,7 +197,7 @@ def test_a_network_without_grid_sees_no_obstacles():
 def test_without_path_or_attention_a_node_knows_only_itself(without):
     model = make_model("paper", [without])
     net, roadmap = model.net, make_roadmap(*random_graph())
-    encoding = model.encode(model.params, roadmap, random_scene())
+    encoding = model.encode(model.params, roadmap, boxes_and_padding())
     environment = np.asarray(encoding.environment[3], np.float64)
     own = linear(net.value_environment, environment) if without == "path" else 0.0
     states = [model.walk(model.params, encoding, path) for path in (WALK, [5])]
@@ -323,50 +235,11 @@ def test_environment_code_agrees_with_numpy(models):
     close(actual, expected)
 
 
-@pytest.mark.parametrize("size", [8, 5, 2])
-def test_convolution_agrees_with_scipy(size):
-    conv = HalvingConv(2, 3, rngs=nnx.Rngs(0))
-    grid = np.random.default_rng(0).normal(size=(size, size, size, 2)).astype(np.float32)
-    kernel = np.asarray(conv.linear.kernel[...]).reshape(3, 3, 3, 2, 3)  # z, y, x, in, out
-    expected = [
-        sum(
-            correlate(grid[..., a], kernel[..., a, b].transpose(2, 1, 0), mode="constant")
-            for a in range(2)
-        )[::2, ::2, ::2]
-        for b in range(3)
-    ]
-    close(jax.jit(conv)(grid), np.stack(expected, axis=-1))
-
-
-def test_occupancy_grid_agrees_with_brute_force():
-    scene, m = random_scene(), 6
-    low, high = np.array(LOWER), np.array(UPPER)
-    expected = np.zeros((m, m, m))
-    for index in np.ndindex(m, m, m):
-        center = low + (np.array(index) + 0.5) * (high - low) / m
-        for b in np.flatnonzero(scene.mask):
-            rotation = Rotation.from_quat(scene.quats[b], scalar_first=True)
-            local = rotation.inv().apply(center - np.asarray(scene.centers[b]))
-            expected[index] += np.all(np.abs(local) <= np.maximum(scene.half_extents[b], 0.2))
-    assert 0.02 < np.mean(expected > 0) < 0.9
-    np.testing.assert_array_equal(drawn(scene, LOWER, UPPER, m), expected > 0)
-
-
-def test_a_thin_pillar_between_voxel_centers_is_drawn():
-    scene = random_scene(num_boxes=1, padding=0)._replace(
-        centers=jnp.array([[0.0, 0.0, 0.6]]),
-        half_extents=jnp.array([[0.01, 0.01, 1.0]]),
-        quats=jnp.array([[1.0, 0.0, 0.0, 0.0]]),
-    )
-    grid = drawn(scene, LOWER, UPPER, 8)
-    assert grid.sum() == 2 * 2 * 8  # the pillar stands on an edge that four columns share
-
-
 @pytest.mark.parametrize("steps", [0, 1, 4, len(WALK)])
 def test_a_search_step_agrees_with_numpy_over_the_whole_path(model, steps):
     nodes, adjacent = random_graph()
     roadmap = make_roadmap(nodes, adjacent)
-    encoding = model.encode(model.params, roadmap, random_scene())
+    encoding = model.encode(model.params, roadmap, boxes_and_padding())
     path = WALK[:steps]
     state = model.walk(model.params, encoding, path)
     assert state.length == steps
@@ -380,7 +253,7 @@ def test_a_search_step_agrees_with_numpy_over_the_whole_path(model, steps):
 
 def test_edge_outputs_agree_with_a_search_that_starts_at_each_node(model):
     roadmap = make_roadmap(*random_graph())
-    encoding = model.encode(model.params, roadmap, random_scene())
+    encoding = model.encode(model.params, roadmap, boxes_and_padding())
     outputs = model.outputs(model.params, encoding, roadmap)
     for node in range(11):
         state = model.walk(model.params, encoding, [node])
@@ -392,7 +265,7 @@ def test_validity_is_the_same_in_both_directions(models):
     model = models["workspace"]
     nodes, adjacent = random_graph()
     roadmap = make_roadmap(nodes, adjacent)
-    encoding = model.encode(model.params, roadmap, random_scene())
+    encoding = model.encode(model.params, roadmap, boxes_and_padding())
     validity = model.outputs(model.params, encoding, roadmap).validity
     logits = np.full(adjacent.shape, np.nan)
     for i, k in np.argwhere(roadmap.neighbor_mask):
@@ -404,9 +277,11 @@ def test_validity_is_the_same_in_both_directions(models):
 def test_padding_changes_nothing(models):
     model = models["workspace"]
     nodes, adjacent = random_graph()
-    tight, scene = make_roadmap(nodes, adjacent), random_scene()
+    tight, scene = make_roadmap(nodes, adjacent), boxes_and_padding()
     loose = make_roadmap(nodes, adjacent, num_slots=11, num_nodes=17)
-    padded_scene = jax.tree.map(lambda x: np.concatenate([x, np.zeros_like(x[:3])]), random_scene())
+    padded_scene = jax.tree.map(
+        lambda x: np.concatenate([x, np.zeros_like(x[:3])]), boxes_and_padding()
+    )
     results = []
     for roadmap, boxes, max_edges in [(tight, scene, None), (loose, padded_scene, 60)]:
         encoding = model.encode(model.params, roadmap, boxes, max_edges)
@@ -428,7 +303,7 @@ def test_renumbering_the_nodes_renumbers_the_values(model):
     results = []
     for numbers in (np.arange(len(nodes)), order):
         roadmap = make_roadmap(nodes[numbers], adjacent[np.ix_(numbers, numbers)])
-        encoding = model.encode(model.params, roadmap, random_scene())
+        encoding = model.encode(model.params, roadmap, boxes_and_padding())
         state = model.walk(model.params, encoding, np.argsort(numbers)[WALK])
         values = model.values(model.params, encoding, state, roadmap)
         table = np.zeros(adjacent.shape)
@@ -441,7 +316,7 @@ def test_renumbering_the_nodes_renumbers_the_values(model):
 def test_a_batch_equals_a_loop(models):
     model = models["workspace"]
     roadmaps = [make_roadmap(*random_graph(seed)) for seed in range(3)]
-    scenes = [random_scene(seed) for seed in range(3)]
+    scenes = [boxes_and_padding(seed) for seed in range(3)]
 
     def one(roadmap, scene):
         encoding = model.encode(model.params, roadmap, scene)
@@ -460,7 +335,7 @@ def test_a_six_joint_arm_is_a_seven_joint_arm_whose_last_joint_stays_at_zero(mod
     nodes, adjacent = random_graph(num_dof=6)
     six = make_roadmap(nodes, adjacent)
     seven = make_roadmap(np.pad(nodes, ((0, 0), (0, 1))), adjacent)
-    codes = [model.encode(model.params, roadmap, random_scene()) for roadmap in (six, seven)]
+    codes = [model.encode(model.params, roadmap, boxes_and_padding()) for roadmap in (six, seven)]
     jax.tree.map(close, *codes)
 
 
@@ -475,7 +350,7 @@ def test_the_untrained_network_prefers_the_neighbor_nearest_to_the_goal(models):
     _, params = nnx.split(nnx.jit(lambda: small_network("extended"))())
     nodes, adjacent = random_graph()
     roadmap = make_roadmap(nodes, adjacent)
-    outputs = model.outputs(params, model.encode(params, roadmap, random_scene()), roadmap)
+    outputs = model.outputs(params, model.encode(params, roadmap, boxes_and_padding()), roadmap)
     distance = np.linalg.norm(nodes - nodes[1], axis=1)
     expected = np.where(roadmap.neighbor_mask, -distance[roadmap.neighbors], 0.0)
     close(outputs.values, expected)
@@ -483,7 +358,7 @@ def test_the_untrained_network_prefers_the_neighbor_nearest_to_the_goal(models):
 
 def test_every_weight_is_reached_by_a_gradient(models):
     model = models["workspace"]
-    roadmap, scene = make_roadmap(*random_graph()), random_scene()
+    roadmap, scene = make_roadmap(*random_graph()), boxes_and_padding()
 
     def loss(params):
         net = nnx.merge(model.graphdef, params)

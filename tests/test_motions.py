@@ -1,5 +1,7 @@
 """The experiment about motions in time."""
 
+import pytest
+
 from experiments import motions
 from experiments.motions import OWN, RIVAL, MotionsConfig
 from experiments.record import run
@@ -10,6 +12,7 @@ from gnnjax.trajectory.states import largest_use
 from gnnjax.trajectory.trajectory import time_path
 
 
+@pytest.mark.usefixtures("small_figures")
 def test_the_quick_form_writes_results_and_goes_on(tiny_path, tmp_path, monkeypatch):
     asked = []
 

@@ -3,8 +3,6 @@
 import functools
 import inspect
 import json
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -184,25 +182,29 @@ def test_bad_planner_arguments_name_the_choices(arguments, message):
         load_planner(**arguments)
 
 
-def run_plan(folder, robot, scene, start, goal):
-    (folder / "scene.json").write_text(json.dumps(scene))
-    command = [sys.executable, "-m", "gnnjax.plan", "--robot", str(robot), "--scene", "scene.json"]
-    command += ["--start", *start, "--goal", *goal, "--num-nodes", "40", "--max-roadmaps", "2"]
-    command += ["--image", "plan.png"]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+@pytest.fixture
+def run_plan(tiny_path, tmp_path, monkeypatch, run_as_command):
+    def run(scene, start, goal):
+        monkeypatch.chdir(tmp_path)
+        Path("scene.json").write_text(json.dumps(scene))
+        words = ["--robot", tiny_path, "--scene", "scene.json", "--start", *start, "--goal", *goal]
+        words += ["--num-nodes", "40", "--max-roadmaps", "2", "--image", "plan.png"]
+        return run_as_command("gnnjax.plan", *words)
+
+    return run
 
 
-def test_the_command_plans_and_draws(tiny_path, tmp_path):
+def test_the_command_plans_and_draws(tiny_path, tmp_path, run_plan):
     scene = {"boxes": [{"center": [0.6, 0, 0], "half_extents": [0.1, 0.1, 0.1]}]}
-    done = run_plan(tmp_path, tiny_path, scene, ["-1.5", "0", "0"], ["1.5", "0", "0"])
-    assert done.returncode == 0, done.stderr
+    status, printed, said = run_plan(scene, ["-1.5", "0", "0"], ["1.5", "0", "0"])
+    assert status == 0, said
     with np.load(tmp_path / "path.npz") as file:
         assert file["path"].shape[1] == 3
         assert file["certified"]
         robot, boxes = load_robot(tiny_path), scene_from_json(tmp_path / "scene.json")
         assert file["clearance"] == proven_clearance(robot, boxes, file["path"])
-        said = f"proven to keep {1e3 * file['clearance']:.0f} mm from all obstacles"
-        assert said in done.stdout
+        line = f"proven to keep {1e3 * file['clearance']:.0f} mm from all obstacles"
+        assert line in printed
     assert (tmp_path / "plan.png").stat().st_size > 10_000
 
 
@@ -219,12 +221,12 @@ def test_the_command_returns_1_where_there_is_no_path(tiny_path, tmp_path, monke
     assert not config.out.exists()
 
 
-def test_the_command_says_in_one_line_what_is_wrong(tiny_path, tmp_path):
+def test_the_command_says_in_one_line_what_is_wrong(tmp_path, run_plan):
     scene = {"boxes": [{"center": [0.6, 0, 0], "half_extents": [0.1, -0.1, 0.1]}]}
-    done = run_plan(tmp_path, tiny_path, scene, ["-1.5", "0", "0"], ["1.5", "0", "0"])
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: box 0 of 'scene.json' has half_extents")
-    assert len(done.stderr.splitlines()) == 1
+    status, _, said = run_plan(scene, ["-1.5", "0", "0"], ["1.5", "0", "0"])
+    assert status == 2
+    assert said.startswith("error: box 0 of 'scene.json' has half_extents")
+    assert len(said.splitlines()) == 1
     assert not (tmp_path / "path.npz").exists()
 
 

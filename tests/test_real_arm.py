@@ -51,6 +51,7 @@ def problems_of():
     return Problem(starts, goals, jax.tree.map(lambda *x: np.stack(x), *scenes))
 
 
+@pytest.mark.usefixtures("small_figures")
 def test_the_quick_form_writes_results_and_goes_on(arm, tmp_path, monkeypatch):
     planned = []
 

@@ -59,6 +59,7 @@ def problems(tiny_path, tmp_path):
     return path
 
 
+@pytest.mark.usefixtures("small_figures")
 def test_turns_are_clocked_kept_and_summed_up(tiny_path, tmp_path, problems, monkeypatch):
     stand_ins = {}
 

@@ -8,16 +8,17 @@ import pytest
 from experiments.by_toppra import duration_by_toppra
 from gnnjax.arm.robot import load_robot
 from gnnjax.arm.torques import inverse_dynamics_by_mujoco
+from gnnjax.clock import Clock
 from gnnjax.collision.clearances import clearances
 from gnnjax.collision.margins import proven_clearance
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
 from gnnjax.trajectory import moves
-from gnnjax.trajectory.curve import cut, distinct, edges_of, make_curve, places, size_of, thirds
-from gnnjax.trajectory.execution import execute_trajectory
+from gnnjax.trajectory.batches import over_curves
+from gnnjax.trajectory.curve import distinct, edges_of, make_curve, places, size_of
 from gnnjax.trajectory.jerk import Profile
-from gnnjax.trajectory.limits import ANY_TORQUE, Limits, limits_of
+from gnnjax.trajectory.limits import limits_of
 from gnnjax.trajectory.smooth import Smoothed
 from gnnjax.trajectory.states import largest_use, movement, sample_trajectory
 from gnnjax.trajectory.timing import Timing
@@ -217,6 +218,8 @@ def test_a_batch_is_what_its_paths_are_alone(free, monkeypatch, backend):
     limits = limits._asdict()
     paths = random_paths(free, 6)
     assert {size_of(path) for path in paths} == {2, 4}
+    if backend == "gpu":  # each size of which is compiled for seconds
+        paths = [path for path in paths if size_of(path) == 2]
     alone = [time_path(free, NOTHING, path, **limits) for path in paths]
     monkeypatch.setattr("gnnjax.trajectory.batches.platform", lambda: backend)
     together = time_paths(free, NOTHING, paths, **limits)
@@ -224,6 +227,22 @@ def test_a_batch_is_what_its_paths_are_alone(free, monkeypatch, backend):
         np.testing.assert_allclose(one.timing.times, other.timing.times, rtol=1e-9)
         np.testing.assert_allclose(one.profile.times, other.profile.times, rtol=1e-9)
         assert (one.cost, one.stops) == (other.cost, other.stops)
+
+
+def test_curves_of_each_size_are_stacked_and_come_back_in_order(monkeypatch):
+    asked = []
+
+    @jax.jit
+    def together(factor, row):
+        asked.append(row["a"].shape)
+        return {"sum": factor * row["a"].sum(axis=1)}
+
+    sizes = [2, 4, 2, 2, 4, 8]
+    rows = [{"a": np.arange(size) + 10.0 * i} for i, size in enumerate(sizes)]
+    monkeypatch.setattr("gnnjax.trajectory.batches.platform", lambda: "gpu")
+    found = over_curves(together, together, np.array(3.0), rows, sizes, Clock())
+    assert [x["sum"] for x in found] == [3 * row["a"].sum() for row in rows]
+    assert sorted(asked) == [(1, 8), (2, 4), (4, 2)]  # padded to powers of two
 
 
 def test_states_are_those_of_one_smooth_motion(free):
@@ -333,24 +352,6 @@ def test_stops_are_those_between_which_any_motion_is_the_fastest():
     assert moves._best_stops([found[0]._replace(profile=None)]) == []
 
 
-def test_what_is_cut_out_of_a_curve_is_where_it_was():
-    rng = np.random.default_rng(0)
-    path = rng.normal(size=(12, 3))
-    half = 0.4 * edges_of(path)[0]
-    blends = np.minimum(half[:-1], half[1:]) * (np.arange(10) % 4 > 0)
-    curve = make_curve(path, blends, size_of(path))
-    ends = np.flatnonzero(curve.stops).tolist()
-    for first, last in zip(ends[::2], ends[1::2], strict=True):
-        own = cut(curve, first, last)
-        assert len(own.grid) <= len(curve.grid)
-        at = np.linspace(0, last - first, 500)
-        at[-1] -= 1e-9  # behind it, a stop turns
-        for part, whole in zip(places(own, at), places(curve, first + at), strict=True):
-            np.testing.assert_allclose(part, whole, atol=1e-9)
-        np.testing.assert_allclose(thirds(own, at), thirds(curve, first + at), atol=1e-6)
-        np.testing.assert_allclose(own.grid[-1], curve.grid[last] - curve.grid[first])
-
-
 def test_a_path_that_turns_back_is_followed(free):
     path = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.2], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     limits = limits_of(free, velocity=SPEEDS, acceleration=PUSHES, torque=TORQUES)
@@ -390,27 +391,6 @@ def test_an_arm_too_weak_on_its_way_is_told_where(tiny):
 
 
 @pytest.mark.parametrize(
-    ("limits", "message"),
-    [
-        ({}, r"tiny has no velocity limits; give velocity=\.\.\. \(rad/s\), or put <numeric"),
-        ({"velocity": 1.0}, r"no acceleration limits; give acceleration=\.\.\. \(rad/s\^2; makers"),
-        ({"velocity": 0.0}, r"velocity limits of tiny are 0.0; give one positive number, or 3"),
-        ({"velocity": [1, 1]}, r"velocity limits of tiny are \[1, 1\]; give one positive"),
-        ({"velocity": 1, "acceleration": [1, -1, 1]}, "acceleration limits of tiny are"),
-        ({"velocity": 1, "acceleration": np.nan}, "acceleration limits of tiny are nan"),
-        ({"velocity": 1, "acceleration": 1, "torque": np.inf}, "torque limits of tiny are inf"),
-        ({"velocity": 1, "acceleration": 1, "jerk": 0}, "jerk limits of tiny are 0; give one"),
-        ({"velocity": 1, "acceleration": "much"}, "acceleration limits of tiny are 'much'"),
-        ({"velocity": 1, "acceleration": 1, "blend": -1.0}, "blend is -1.0; give a length"),
-        ({"velocity": 1, "acceleration": 1, "margin": -1.0}, "margin is -1.0; give a clearance"),
-    ],
-)
-def test_limits_that_are_none_are_refused(tiny, limits, message):
-    with pytest.raises(InputError, match=message):
-        time_path(tiny, NOTHING, np.zeros((2, 3)), **limits)
-
-
-@pytest.mark.parametrize(
     ("path", "message"),
     [
         (np.zeros((0, 3)), r"path has shape \(0, 3\); tiny needs \[L, 3\], one configuration"),
@@ -428,52 +408,3 @@ def test_steps_that_are_none_are_refused(tiny, dt):
     found = time_path(tiny, NOTHING, [[0, 0, 0], [1, 0, 0]], velocity=1.0, acceleration=1.0)
     with pytest.raises(InputError, match="give a step in seconds"):
         sample_trajectory(tiny, found, dt)
-
-
-def test_the_grid_of_a_curve_has_all_its_corners():
-    rng = np.random.default_rng(0)
-    for number in range(2, 12):
-        path = rng.normal(size=(number, 3))
-        half = edges_of(path)[0] / 2
-        blends = np.minimum(half[:-1], half[1:]) * rng.integers(0, 2, number - 2)
-        curve = make_curve(path, blends, size_of(path))
-        assert (np.diff(curve.grid) >= 0).all()
-        for corner, blend in enumerate(blends):
-            ends = curve.grid[[curve.entries[corner], curve.exits[corner]]]
-            np.testing.assert_allclose(ends, curve.corners[corner] + [-blend, blend], atol=1e-9)
-            assert curve.stops[curve.entries[corner]] == (blend == 0)
-        # Its derivatives are those of its positions.
-        at = np.linspace(0.01, len(curve.grid) - 1.01, 200)
-        assert isinstance(jax.tree.leaves(places(curve, at))[0], np.ndarray)
-        np.testing.assert_allclose(places(curve, at[:1] * 0).q[0], path[0])
-        np.testing.assert_allclose(
-            places(curve, np.array([len(curve.grid) - 1.0])).q[0], path[-1], atol=1e-12
-        )
-
-
-def test_the_torques_of_a_model_that_has_some_are_limited(tmp_path):
-    path = tmp_path / "some.xml"
-    motor = '<motor joint="b" gear="10" ctrlrange="-0.5 0.4"/><motor joint="c"/>'
-    path.write_text(TINY.replace("</mujoco>", f"<actuator>{motor}</actuator></mujoco>"))
-    robot = load_robot(path)
-    free = limits_of(robot, velocity=1.0, acceleration=1.0).torque
-    np.testing.assert_array_equal(free, [ANY_TORQUE, 4.0, ANY_TORQUE])
-    found = time_path(robot, NOTHING, [[0, 0, 0], [1, 0, 0]], velocity=1.0, acceleration=1.0)
-    assert "joint b needs" in found.reason
-    assert "and has 4; carry less" in found.reason
-    upright = [[0, -1.5, 0], [1, -1.5, 0]]
-    loose = {"velocity": 3.0, "acceleration": 9.0}
-    found = time_path(robot, NOTHING, upright, **loose)
-    same = time_path(robot, NOTHING, upright, **loose, torque=[900.0, 4.0, 900.0])
-    assert found.duration == pytest.approx(same.duration)
-    with pytest.raises(InputError, match="has no torque limits for joint a, without"):
-        execute_trajectory(robot, NOTHING, found)
-
-
-def test_limits_of_a_model_are_taken_where_none_are_given():
-    robot = load_robot("franka_panda")
-    limits = limits_of(robot, acceleration=3.0)
-    assert isinstance(limits, Limits)
-    np.testing.assert_allclose(limits.velocity, robot.velocity_limit)
-    np.testing.assert_allclose(limits.torque, robot.torque_limit)
-    np.testing.assert_array_equal(limits.acceleration, np.full(7, 3.0))
