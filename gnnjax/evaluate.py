@@ -12,7 +12,6 @@ they come; the same command goes on where it was cut off.
 
 import contextlib
 import dataclasses
-import importlib.metadata
 import json
 import logging
 import time
@@ -27,7 +26,8 @@ from gnnjax.cluster import ALONE, Cluster
 from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_command
 from gnnjax.files import check_apart, check_target, locked
 from gnnjax.measure.batches import Batches
-from gnnjax.measure.machine import describe_machine
+from gnnjax.measure.machine import describe_machine, ompl_version
+from gnnjax.measure.own_planner import own_settings
 from gnnjax.measure.result_files import (
     FORMAT,
     RowFiles,
@@ -100,7 +100,8 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
 
     Args:
         config: what to plan, and how.
-        planner: of these options, for callers that evaluate several sets or seeds with one.
+        planner: of these options, for callers that evaluate several sets or seeds with one, or a
+            guide or scorer of their own; results of such a one are not gone on with.
     """
     if config.batch_size < 1 or (config.num_problems is not None and config.num_problems < 1):
         raise InputError(
@@ -112,19 +113,20 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     check_target(config.json)
     check_apart((config.json, config.figure), (config.problems, config.attach, config.robot))
     place = config.cluster.place()
+    own = own_settings(planner, config, config.json) if planner else {}
     planner = planner or planner_for(config)
     problems = StoredProblems(config.problems, planner.robot)
     num = min(len(problems), config.num_problems or len(problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     for name in ("json", "cluster", "keep_parts", "figure", "beside"):  # change no row
         del settings[name]
-    settings |= {"num_problems": num, "radius": planner.radius, _CHECKSUM: problems.sha256()}
+    settings |= {"num_problems": num, "radius": planner.radius, _CHECKSUM: problems.sha256()} | own
     draw = _drawing(config, settings)
     results = {
         "format": FORMAT,
         "complete": False,
         "settings": settings,
-        "machine": describe_machine() | _ompl(config),
+        "machine": describe_machine() | ompl_version(config.is_classical),
         "summary": {},
         "problems": [],
     }
@@ -280,12 +282,7 @@ def _earlier(path: Path, settings: dict[str, Any], first: int = 0) -> list[dict]
     fields = dataclasses.fields(EvaluateConfig)
     defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
     defaults[_CHECKSUM] = settings[_CHECKSUM]  # which files from before it leave open
-    return read_rows(path, settings, defaults, first)
-
-
-def _ompl(config: EvaluateConfig) -> dict[str, str]:
-    """The version of OMPL, where it plans."""
-    return {"ompl": importlib.metadata.version("ompl")} if config.is_classical else {}
+    return read_rows(path, {"own": None} | settings, defaults, first)
 
 
 def main() -> None:

@@ -1,5 +1,6 @@
 """Evaluation: what is written, summed up, resumed and refused."""
 
+import copy
 import dataclasses
 import json
 import re
@@ -264,6 +265,22 @@ def test_a_picture_that_cannot_be_is_refused_before_planning(
     with pytest.raises(InputError, match=r"--figure needs the viz extra .*gnnjax\[viz\]"):
         evaluate(config(tiny_path, problems, out, figure=figure))
     assert not out.exists()
+
+
+def test_rows_of_planners_that_callers_make_pass_for_no_others(
+    tiny_path, problems, tmp_path, planner_once, capsys
+):
+    case = config(tiny_path, problems, tmp_path / "own.json")
+    planner = copy.copy(planner_once(load_robot(tiny_path), case))
+    with pytest.raises(InputError, match=r"planner has margin 0.0, and results would tell 0.01;"):
+        evaluate(dataclasses.replace(case, margin=0.01), planner)
+    planner.given = {"scorer": min}
+    print_summary(evaluate(case, planner))
+    assert "lazysp, 40 nodes, own scorer" in capsys.readouterr().out
+    with pytest.raises(InputError, match=r"own.json' is there, .* the same scorer of your own"):
+        evaluate(case, planner)
+    with pytest.raises(InputError, match=r"holds results with own \['scorer'\], not None"):
+        evaluate(case)
 
 
 class ShortOfMemory:

@@ -103,6 +103,21 @@ def test_an_arm_that_is_as_its_model_follows_by_computed_torque(robot, motion):
     assert 0.1 < found.torque_use < 1
 
 
+@pytest.mark.parametrize("torque", [0.9, 1.2])
+def test_dry_friction_holds_up_to_its_torque_and_no_further(tmp_path, torque):
+    file, inertia = tmp_path / "light.xml", 0.4 * 0.05 * 0.05**2  # kg m^2
+    file.write_text(
+        '<mujoco><worldbody><body><joint name="a" axis="0 0 1"/>'
+        '<geom type="sphere" size="0.05" mass="0.05"/></body></worldbody></mujoco>'
+    )
+    model = build_true_world(load_robot(file), NOTHING, ModelErrors(friction=1.0))
+    data = mujoco.MjData(model)
+    data.qfrc_applied = torque
+    mujoco.mj_step(model, data, 20)
+    expected = max(torque - 1.0, 0.0) / inertia * 20 * DT
+    np.testing.assert_allclose(data.qvel, expected, rtol=0.01, atol=0.1)
+
+
 BALL = '<geom type="sphere" size="0.05" mass="1"/>'
 HINGE = f"""<body pos="0.3 0 0"><joint name="a" axis="0 1 0" range="-3 3"/>{BALL}</body>"""
 GANTRY = f"""<body pos="0.3 0 0"><joint name="x" type="slide" axis="1 0 0" range="0 1"/>{BALL}

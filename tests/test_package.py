@@ -66,8 +66,8 @@ trajectory.control trajectory.simulate trajectory.execution
 training.weights training.checkpoint training.parallel training.motions training.figure training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
-measure.machine measure.rows measure.batches measure.result_files measure.statistics measure.table
-measure.figure
+measure.machine measure.own_planner measure.rows measure.batches measure.result_files
+measure.statistics measure.table measure.figure
 generate paper.losses train train_motion evaluate planner_arena video query_options plan
 plot_execution execute fit
 viewer.frames viewer.meshes viewer.worker viewer.answers viewer.session viewer.prices viewer.stage

@@ -1,6 +1,7 @@
 """What numbers were measured on."""
 
 import functools
+import importlib.metadata
 import platform
 from pathlib import Path
 from typing import Any
@@ -27,3 +28,8 @@ def describe_machine() -> dict[str, Any]:
         "jax": jax.__version__,
         "gnnjax": code_version(),
     }
+
+
+def ompl_version(plans: bool) -> dict[str, str]:
+    """The version of OMPL, where it plans."""
+    return {"ompl": importlib.metadata.version("ompl")} if plans else {}

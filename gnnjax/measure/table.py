@@ -24,7 +24,7 @@ def title_of(settings: dict[str, Any]) -> str:
     for name, (value, words) in _VARIANTS.items():
         if settings[name] == value:
             title += f", {words}"
-    return title
+    return title + "".join(f", own {part}" for part in settings.get("own", []))
 
 
 def print_summary(results: dict[str, Any]) -> None:

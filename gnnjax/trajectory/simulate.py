@@ -26,6 +26,9 @@ from gnnjax.trajectory.states import Setpoints
 DT = 1e-3  # s, of a step
 _LONGEST_DELAY = 0.1  # s
 _PAYLOAD_RADIUS = 0.05  # m
+# MuJoCo's impedance of dry friction, 0.9 by default: of a joint of little inertia, that is far more
+# viscous than dry, and such a joint runs ahead of what it is told to do.
+_DRY = 0.9999
 _STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 _TOLD = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 _FLAGS = mujoco.mjtDisableBit
@@ -88,6 +91,7 @@ def build_true_world(robot: Robot, scene: Scene, errors: ModelErrors) -> mujoco.
     spec.add_sensor(type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=_DEEPEST)
     model = spec.compile()
     model.dof_frictionloss += errors.friction
+    model.dof_solimp[:, :2] = np.maximum(model.dof_solimp[:, :2], _DRY)
     model.body_mass *= 1 + errors.mass
     model.body_inertia *= 1 + errors.mass
     data = mujoco.MjData(model)
