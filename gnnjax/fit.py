@@ -64,6 +64,9 @@ def fit(config: FitConfig) -> Robot:
     table.add_row("all", "", str(len(over)), f"{over.max():.1f}", style="bold")
     Console().print(table)
     print(f"{len(robot.self_pairs)} pairs of spheres tell whether the arm meets itself")
+    print("planned for, in the order of start and goal, rad (or m):")
+    for name, *ends in zip(robot.joint_names, robot.joint_lower, robot.joint_upper, strict=True):
+        print(f"  {name}: {ends[0]:.4g} to {ends[1]:.4g}")
     if draw_cover is not None and config.picture is not None:
         draw_cover(robot, config.picture)
         print(f"wrote {config.picture}")

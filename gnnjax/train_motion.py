@@ -45,7 +45,7 @@ class TrainMotionConfig:
     """Train a motion network on scenes and motions drawn without end."""
 
     robots: tuple[str, ...] = ("kuka_iiwa14", "kinova_gen3")
-    """Arms that take turns: shipped ones, or paths of MJCF files."""
+    """Arms that take turns: shipped ones, or paths of MJCFs or URDFs."""
     out: Path = Path("runs/motion")
     """Checkpoints, logs and, at the end, the weights go here."""
     resume: bool = False

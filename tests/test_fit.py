@@ -196,6 +196,8 @@ def test_the_command_shows_and_saves_spheres_that_load_as_the_same_arm(tmp_path,
     printed = capsys.readouterr().out
     assert "beam" in printed
     assert "pairs of spheres" in printed
+    for name, *ends in zip(robot.joint_names, robot.joint_lower, robot.joint_upper, strict=True):
+        assert f"  {name}: {ends[0]:.4g} to {ends[1]:.4g}\n" in printed
     assert picture.stat().st_size > 10_000
     saved = load_robot(out)
     assert (saved.geom_inner_radii == saved.geom_radii).all()

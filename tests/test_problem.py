@@ -82,6 +82,25 @@ def test_objects_are_never_pickled(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_what_is_no_problem_set_is_not_written(tmp_path, robot):
+    good = random_set()
+    start, goal, scene = good.problems
+    lost = start.copy()
+    lost[2, 1] = np.nan
+    bad = object.__new__(ProblemSet)  # whose types nobody checks, as outside of tests
+    for changes, message in (
+        ({"robot": robot}, "has a Robot and a Problem; give the arm's name"),
+        ({"problems": Problem(start, goal, [scene])}, r"of its scenes \(\); they are"),
+        ({"problems": Problem(start[:5], goal[:5], scene)}, r"scenes \(6, 10\); they are"),
+        ({"problems": Problem(start, lost, scene)}, r"goal of problem 2 is .*must be finite"),
+        ({"problems": Problem([[0.0], [0.0, 1.0]], goal, scene)}, "are no numbers"),
+    ):
+        for name, value in ({"extras": {}} | vars(good) | changes).items():
+            object.__setattr__(bad, name, value)
+        with pytest.raises(InputError, match=message):
+            save_problems(tmp_path / "set.npz", bad)
+
+
 def test_anything_on_padding_is_harmless(tmp_path, robot):
     save_problems(tmp_path / "set.npz", random_set())
     arrays = arrays_of(tmp_path / "set.npz")

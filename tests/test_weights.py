@@ -105,3 +105,6 @@ def test_weights_that_are_not_there_are_refused_with_those_that_are(tmp_path):
         load_network(tmp_path / "missing")
     with pytest.raises(InputError, match="is damaged or no checkpoint"):
         load_network(tmp_path)
+    (tmp_path / "checkpoints").mkdir()
+    with pytest.raises(InputError, match=r"folder of a training; name its 'weights.safetensors'"):
+        load_network(tmp_path)

@@ -72,9 +72,10 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
     """Writes a problem set as one `.npz` without pickles; replaces the file atomically.
 
     Raises:
-        InputError: an extra that only a pickle could hold, or one that names obstacles; a scene in
-            which contacts are meant.
+        InputError: what is no problem set; an extra that only a pickle could hold, or one that
+            names obstacles; a scene in which contacts are meant.
     """
+    problem_set.check()
     for name, value in problem_set.extras.items():
         if np.asarray(value).dtype.hasobject:
             raise InputError(
@@ -82,11 +83,12 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
             )
     _check_further(f"problem file {str(path)!r}", problem_set.extras)
     refuse_allowed(problem_set.problems.scene, "a problem file")
-    start, goal, scene = jax.tree.map(np.asarray, problem_set.problems)
+    start, goal, scene = problem_set.problems
+    scene = jax.tree.map(np.asarray, scene)
     arrays = {
         "robot": np.array(problem_set.robot),
-        "start": start.astype(np.float32),
-        "goal": goal.astype(np.float32),
+        "start": np.asarray(start, np.float32),
+        "goal": np.asarray(goal, np.float32),
     }
     kinds = np.where(scene.mask, kind_of(scene.half_extents, scene.radii), -2)
     if (kinds == -1).any():

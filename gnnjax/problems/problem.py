@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.robot import Robot
+from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.roadmap.sampled import sample_free
 from gnnjax.scene.scene import Scene, sample_scene
 
@@ -31,6 +32,40 @@ class ProblemSet:
 
     def __len__(self) -> int:
         return len(self.problems.start)
+
+    def check(self) -> None:
+        """Refuses what is no set of problems, of an arm that is told by its name.
+
+        Raises:
+            InputError: naming what is wrong and what it should be.
+        """
+        if not (isinstance(self.robot, str) and isinstance(self.problems, Problem)):
+            kinds = type(self.robot).__name__, type(self.problems).__name__
+            raise InputError(
+                f"a problem set has a {kinds[0]} and a {kinds[1]}; give the arm's name and a "
+                "Problem: ProblemSet(robot.name, Problem(start, goal, stack_scenes(scenes)))"
+            )
+        scene = self.problems.scene
+        try:
+            start, goal = (np.asarray(x, float) for x in self.problems[:2])
+        except (TypeError, ValueError):
+            raise InputError(
+                "start and goal of a problem set are no numbers [P D]; give a row for each problem"
+            ) from None
+        mask = np.shape(scene.mask) if isinstance(scene, Scene) else ()
+        shapes = start.shape, goal.shape, mask
+        if len(shapes[0]) != 2 or shapes[1] != shapes[0] or shapes[2][:-1] != shapes[0][:1]:
+            raise InputError(
+                f"a problem set has start {shapes[0]}, goal {shapes[1]} and the mask of its scenes "
+                f"{shapes[2]}; they are [P D], [P D] and [P M], of scenes that stack_scenes joined"
+            )
+        for name, q in (("start", start), ("goal", goal)):
+            where = np.flatnonzero(~np.isfinite(q).all(axis=1))
+            if len(where):
+                raise InputError(
+                    f"{name} of problem {where[0]} is {brief(as_typed(q[where[0]]))}; it must be "
+                    "finite"
+                )
 
     def take(self, rows: slice | np.ndarray) -> "ProblemSet":
         """Some of the problems; extras that have one row a problem are cut likewise."""

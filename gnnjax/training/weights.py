@@ -37,10 +37,15 @@ def find_weights(weights: str | Path) -> Path:
     """A file of weights or the folder of a checkpoint: its path, or the name of shipped weights.
 
     Raises:
-        InputError: there is neither.
+        InputError: there is neither, or it is the folder of a whole training.
     """
     shipped = Path(__file__).parents[1] / "weights"
     for path in (Path(weights), shipped / f"{weights}{SUFFIX}"):
+        if (path / "checkpoints").is_dir():
+            raise InputError(
+                f"{str(path)!r} is the folder of a training; name its 'weights{SUFFIX}', which are "
+                "there at its end, or the folder of one of its checkpoints"
+            )
         if path.exists():
             return path
     known = sorted(file.stem for file in shipped.glob(f"*{SUFFIX}"))
