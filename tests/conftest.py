@@ -95,6 +95,12 @@ def evaluate_with_one_planner(planner_once):
         yield
 
 
+@pytest.fixture
+def stand_ins(monkeypatch):
+    """A planner may stand in for others, whose options results tell."""
+    monkeypatch.setattr("gnnjax.evaluate.own_settings", lambda *given: {})
+
+
 @pytest.fixture(scope="module")
 def all_sizes():
     """Calls of all sizes: what comes out must not depend on which are filled."""

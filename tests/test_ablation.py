@@ -42,7 +42,7 @@ def test_the_command_of_a_training_says_what_differs_from_its_preset():
     assert "--seed" not in line
 
 
-@pytest.mark.usefixtures("experiments_remember")
+@pytest.mark.usefixtures("experiments_remember", "stand_ins")
 def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch):
     config = AblationConfig(
         quick=True,
@@ -120,7 +120,7 @@ def test_the_longer_training_is_the_presets_but_for_epochs_and_seed():
     )
 
 
-@pytest.mark.usefixtures("experiments_remember")
+@pytest.mark.usefixtures("experiments_remember", "stand_ins")
 def test_a_network_that_adds_nothing_is_found_out(tiny_path, tmp_path, monkeypatch):
     folders = {key: tmp_path / key for key in ("data", "runs", "trained", "results")}
     config = converged.ConvergedConfig(quick=True, robot=str(tiny_path), **folders)

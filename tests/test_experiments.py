@@ -58,7 +58,7 @@ def quick(name: str, tiny_path: Path, folder: Path) -> tuple[ExperimentConfig, d
 
 # One test for all of them, so that they run in one process and compile once. What is tested is what
 # experiments make of results: planners have tests of their own, and one stands in for all of ours.
-@pytest.mark.usefixtures("experiments_remember")
+@pytest.mark.usefixtures("experiments_remember", "stand_ins")
 def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monkeypatch):
     planned = []
 
