@@ -17,12 +17,12 @@ from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.holding import load_arm
 from gnnjax.trajectory.execution import (
     Execution,
-    at_steps,
     execute_trajectory,
     motion_clearance,
 )
 from gnnjax.trajectory.files import load_trajectory, robot_of_trajectory
 from gnnjax.trajectory.simulate import ModelErrors
+from gnnjax.trajectory.steps import at_steps
 from gnnjax.video import check_video, draw_video
 
 

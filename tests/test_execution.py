@@ -18,7 +18,6 @@ from gnnjax.scene.scene import make_scene, scene_from_shapes
 from gnnjax.scene.shapes import box, sphere
 from gnnjax.trajectory.control import control, inertias
 from gnnjax.trajectory.execution import (
-    at_steps,
     execute_trajectories,
     execute_trajectory,
     motion_clearance,
@@ -26,6 +25,7 @@ from gnnjax.trajectory.execution import (
 from gnnjax.trajectory.limits import limits_of
 from gnnjax.trajectory.simulate import DT, ModelErrors, build_true_world
 from gnnjax.trajectory.states import followed, largest_use, sample_trajectory
+from gnnjax.trajectory.steps import at_steps
 from gnnjax.trajectory.trajectory import time_path, time_paths
 from tests.conftest import TINY
 

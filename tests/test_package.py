@@ -62,7 +62,7 @@ planning.options planning.query planning.goals planning.motions planning.progres
 planning.strategy planning.walks planning.looks planning.guided planning.pool planning.shortening
 planning.shortcuts planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
-trajectory.control trajectory.simulate trajectory.execution
+trajectory.control trajectory.simulate trajectory.steps trajectory.execution
 training.weights training.checkpoint training.parallel training.motions training.figure training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl

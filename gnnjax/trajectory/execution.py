@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.arm.torques import inverse_dynamics_by_mujoco
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.margins import largest_margin
@@ -28,12 +27,11 @@ from gnnjax.trajectory.simulate import (
     placed,
     simulate,
 )
-from gnnjax.trajectory.states import Setpoints, followed
+from gnnjax.trajectory.states import Setpoints
+from gnnjax.trajectory.steps import HOLD, at_steps
 from gnnjax.trajectory.trajectory import Trajectory
 
-_HOLD = 0.5  # s at the goal, before it is told whether the arm rests there
 _AT_REST = 0.02  # rad or m, and rad/s or m/s, of each joint
-_LONGEST = 600.0  # s, whose states fit into memory
 _SIDE_BY_SIDE = 32  # motions whose arrays are in memory at a time
 _PIECE = 20  # steps of a motion that are certified as one line, with slack
 
@@ -165,34 +163,6 @@ def _torque_limit(robot: Robot, torque: Amounts | None) -> np.ndarray:
     return limit
 
 
-def at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
-    """A motion at every step of the simulation, held at its goal in the end.
-
-    Of states that are given, accelerations are those of cubics between them. Where jerk leaps
-    from one state to the next, these leave limits of it by up to a seventh of the leap.
-    """
-    given, positions, velocities, accelerations = followed(robot, trajectory, DT)
-    last = float(given[-1])
-    if not last <= _LONGEST:
-        raise InputError(f"the motion takes {last:g} s; up to {_LONGEST:g} s can be simulated")
-    times = np.arange(int(np.ceil(last / DT - 1e-9)) + round(_HOLD / DT)) * DT
-    moving = times < last
-    q, velocity, acceleration = (np.zeros((len(times), robot.num_dof)) for _ in range(3))
-    q[:] = positions[-1]
-    if accelerations is not None:  # at these very times, and at the last one
-        exact = positions, velocities, accelerations
-        for values, part in zip(exact, (q, velocity, acceleration), strict=True):
-            part[moving] = values[:-1]
-    elif moving.any():
-        from scipy.interpolate import CubicHermiteSpline  # a third of a second, for this alone
-
-        curve = CubicHermiteSpline(given, positions, velocities)
-        for number, part in enumerate((q, velocity, acceleration)):
-            part[moving] = curve(times[moving], number)
-    torques = inverse_dynamics_by_mujoco(robot, q, velocity, acceleration)
-    return Setpoints(times, q, velocity, acceleration, torques)
-
-
 def _judged(
     robot: Robot,
     scene: Scene,
@@ -207,7 +177,7 @@ def _judged(
         steps = min(steps, int(np.isfinite(run.positions).all(axis=1).argmin()) or steps)
     q, velocity, torques = run.positions[:steps], run.velocities[:steps], run.torques[:steps]
     wanted = Setpoints(*(x[:steps] for x in wanted))
-    moving = max(1, steps if run.diverged else steps - round(_HOLD / DT))
+    moving = max(1, steps if run.diverged else steps - round(HOLD / DT))
     error = np.abs(q - wanted.positions)
     tip = np.linalg.norm(_tips(robot, q) - _tips(robot, wanted.positions), axis=1)
     touching = np.flatnonzero(run.depths[:steps] > 0)
@@ -231,7 +201,7 @@ def _judged(
     return Execution(
         success=not reason,
         reason=reason,
-        duration=max(1, len(whole.times) - round(_HOLD / DT)) * DT,
+        duration=max(1, len(whole.times) - round(HOLD / DT)) * DT,
         max_error=error[:moving].max(axis=0),
         rms_error=np.sqrt((error[:moving] ** 2).mean(axis=0)),
         tip_error=float(tip.max()),
