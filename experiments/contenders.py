@@ -5,7 +5,6 @@ OMPL's one problem after the other. Either way the clock runs from the arrays of
 last path: queries are checked, and paths certified.
 """
 
-import dataclasses
 import functools
 import multiprocessing
 import os
@@ -18,7 +17,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
+from gnnjax.arm_options import load_arm
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.planner import Planner
@@ -28,13 +28,6 @@ from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
 
 _HANDED_OUT = 8  # problems that a process is given at a time
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class HeldCase(EvaluateConfig):
-    """A case of an arm some of whose joints are held."""
-
-    hold: tuple[tuple[str, float], ...] = ()  # rad or m, by name
 
 
 class Turn(NamedTuple):
@@ -104,7 +97,7 @@ def processes_of(case: EvaluateConfig, num: int) -> QueryPlanner:
 
 def robot_of(case: EvaluateConfig) -> Robot:
     """The arm of a case."""
-    return load_robot(case.robot, hold=dict(case.hold) if isinstance(case, HeldCase) else None)
+    return load_arm(case)
 
 
 @functools.cache

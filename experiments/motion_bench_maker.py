@@ -29,7 +29,6 @@ import numpy as np
 from experiments.by_scene import ALL, OWN, PUBLISHED, RIVALS, draw, of_planner, table
 from experiments.cases import classical_case
 from experiments.contenders import (
-    HeldCase,
     in_pools,
     in_processes,
     planner_of,
@@ -92,9 +91,8 @@ def measurement(config: MotionBenchMakerConfig) -> Measurement:
     def case(planner: str) -> EvaluateConfig:
         limit = np.inf if planner == OWN else config.time_limit
         made = classical_case(path, robot, planner)
-        options = {f.name: getattr(made, f.name) for f in dataclasses.fields(made)}
-        options |= {"time_limit": limit, "seed": config.seeds[0]}
-        return HeldCase(**options, hold=config.hold)
+        chosen = {"time_limit": limit, "seed": config.seeds[0], "hold": config.hold}
+        return dataclasses.replace(made, **chosen)
 
     return Measurement(_rows(config, case, rows, told, folder), {"settings": settings})
 

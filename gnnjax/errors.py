@@ -2,13 +2,14 @@
 
 import contextlib
 import dataclasses
+import difflib
 import errno
 import numbers
 import os
 import reprlib
 import select
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn, TextIO
 
 import jax
@@ -55,6 +56,12 @@ _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 60
 def brief(value: object) -> str:
     """The `repr` of a value from a file, however large it is or deep."""
     return _REPR.repr(value)
+
+
+def perhaps(name: str, known: Sequence[str]) -> str:
+    """Of a name that there is not, which of those that there are may be meant, for a message."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f" (perhaps {near[0]!r})" if near else ""
 
 
 def as_typed(values: ArrayLike | float) -> Any:

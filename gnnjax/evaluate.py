@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from gnnjax.arguments import parse_arguments
+from gnnjax.arm_options import HoldingOptions, load_arm
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_command
 from gnnjax.files import check_apart, check_target, locked
@@ -45,7 +46,6 @@ from gnnjax.planning.processes import LEAST_SHARE, PlannerProcesses
 from gnnjax.planning.query import QueryPlanner
 from gnnjax.problems.shards import StoredProblems
 from gnnjax.roll_call import RollCall
-from gnnjax.scene.holding import load_arm
 
 _LOG = logging.getLogger(__name__)
 _WRITE_EVERY_S = 1.0
@@ -53,19 +53,13 @@ _CHECKSUM = "problems_sha256"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class EvaluateConfig(PlannerOptions):
+class EvaluateConfig(HoldingOptions, PlannerOptions):
     """Plan every problem of a set and write results and a summary as JSON."""
 
     problems: Path
     """An .npz of problems, or a folder of shards."""
     json: Path
     """Where results go; goes on with what is there if it has the same settings."""
-    robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF or URDF."""
-    attach: Path | None = None
-    """JSON file with what the arm holds, as for gnnjax.plan."""
-    rest_share: float | None = None
-    """Share of the motors' torques that may hold the arm at rest, likewise."""
     num_problems: int | None = None
     """Only the first so many problems."""
     batch_size: int = 1
@@ -91,7 +85,7 @@ class EvaluateConfig(PlannerOptions):
 
 def planner_for(config: EvaluateConfig) -> QueryPlanner:
     """The planner that a configuration asks for, for the arm with what it holds."""
-    return make_planner(load_arm(config.robot, config.attach, config.rest_share), config)
+    return make_planner(load_arm(config), config)
 
 
 def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dict[str, Any]:
@@ -173,7 +167,8 @@ def _check_processes(config: EvaluateConfig) -> None:
 
 
 # What results share that a picture compares.
-_SAME = ("problems", _CHECKSUM, "num_problems", "robot", "attach", "time_limit")
+_OF_ARM = ("robot", "joints", "hold", "allow", "attach")
+_SAME = ("problems", _CHECKSUM, "num_problems", *_OF_ARM, "time_limit")
 
 
 def _drawing(
@@ -220,7 +215,7 @@ def _drawing(
 
 def _shared(settings: dict[str, Any], key: str) -> Any:
     """A setting by which results compare; a path by its name, wherever it was named from."""
-    value = settings.get(key)
+    value = settings.get(key) or None  # what was no option yet is off, whatever that looks like
     return Path(value).stem if key in ("problems", "robot") else value
 
 

@@ -10,11 +10,12 @@ from rich.table import Table
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
+from gnnjax.arm_options import ArmOptions, load_bare_arm
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import check_apart
 from gnnjax.query_options import read_request
 from gnnjax.scene.any_file import read_scene
-from gnnjax.scene.holding import load_arm
+from gnnjax.scene.holding import attach_from_json
 from gnnjax.trajectory.execution import (
     Execution,
     execute_trajectory,
@@ -27,7 +28,7 @@ from gnnjax.video import check_video, draw_video
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ExecuteConfig:
+class ExecuteConfig(ArmOptions):
     """Carry a motion out in MuJoCo, with contacts, by a controller that knows the arm's model."""
 
     scene: Path
@@ -35,12 +36,10 @@ class ExecuteConfig:
     MuJoCo model, less the robot in it)."""
     trajectory: Path
     """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json). What the
-    arm held is in it, but for a .csv."""
+    arm held is in it, and what --joints, --hold and --allow were, but for a .csv."""
     request: Path | None = None
     """MoveIt's motion plan request (.yaml) that was planned, to read the scene as it was: the base
     may stand where the request has it, and the arm holds what either has attached."""
-    robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF or URDF."""
     attach: Path | None = None
     """JSON file with what the arm holds, as for planning, where the motion does not tell; the
     controller knows its mass."""
@@ -74,13 +73,18 @@ def main(config: ExecuteConfig) -> int:
         (config.figure, config.video),
         (config.scene, config.trajectory, config.request, config.attach, config.robot),
     )
-    robot = load_arm(config.robot, config.attach)
+    robot = load_bare_arm(config.robot, config)
+    if config.attach is not None:
+        robot = attach_from_json(robot, config.attach)
     scene = None
     if config.request is not None:
         robot, (_, _, scene) = read_request(config.scene, config.request, robot)
     given = robot
     robot = robot_of_trajectory(given, config.trajectory)
-    for note in robot.notes[len(given.notes) :]:
+    notes = [note for note in robot.notes if note not in given.notes]
+    if robot.choice != given.choice:
+        notes = [str(robot.choice), *notes]
+    for note in notes:
         print(f"as {config.trajectory} says, {note}")
     points = load_trajectory(robot, config.trajectory)
     if scene is None:

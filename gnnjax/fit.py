@@ -19,7 +19,8 @@ from rich.table import Table
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.covers import Rows, cover_file, save_cover
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
+from gnnjax.arm_options import JointOptions, load_bare_arm
 from gnnjax.errors import InputError, needs_extra, run_command
 from gnnjax.files import atomic_write, check_apart, check_target
 
@@ -27,7 +28,7 @@ _ROUNDING = 1e-5  # m by which saved spheres are larger: an MJCF has six digits
 
 
 @dataclasses.dataclass(frozen=True)
-class FitConfig:
+class FitConfig(JointOptions):
     """Show and save the spheres that enclose an arm's links."""
 
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ARM")]
@@ -52,7 +53,7 @@ def fit(config: FitConfig) -> Robot:
         with needs_extra("--picture", "viz"):
             from gnnjax.plot import check_picture, draw_cover
         check_picture(config.picture)
-    robot = load_robot(config.robot)
+    robot = load_bare_arm(config.robot, config)
     over = 1e3 * (robot.geom_radii - robot.geom_inner_radii)
     table = Table(title=escape(robot.name))
     for name in ("part", "body", "spheres", "overshoot [mm]"):

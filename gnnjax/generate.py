@@ -20,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
+from gnnjax.arm_options import HoldingOptions, load_arm
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.collision.checker import Backend
 from gnnjax.devices import cache_compilations
@@ -47,13 +48,12 @@ from gnnjax.problems.shards import (
     shard_name,
 )
 from gnnjax.roll_call import Place
-from gnnjax.scene.holding import load_arm
 
 _ORIGIN = "generated"  # array of a single file that says what the manifest says of a folder
 
 
 @dataclasses.dataclass(frozen=True)
-class GenerateConfig:
+class GenerateConfig(HoldingOptions):
     """Draw problems of the paper's distribution or of a harder family; for training also their
     roadmaps and labels."""
 
@@ -61,12 +61,6 @@ class GenerateConfig:
     """Which set; their problems never coincide."""
     family: Family = "paper"
     """Kind of scenes: the paper's boxes, or structures that leave little room."""
-    robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF or URDF."""
-    attach: Path | None = None
-    """JSON file with what the arm holds, as for gnnjax.plan."""
-    rest_share: float | None = None
-    """Share of the motors' torques that may hold the arm at rest, likewise."""
     num_problems: int | None = None
     """Problems; by default 3,000 for train, 100 for validation and 300 for test."""
     num_nodes: int | None = None
@@ -85,7 +79,7 @@ class GenerateConfig:
 
 def generate(config: GenerateConfig) -> Path:
     """Draws what is missing of a set, shard by shard, and returns where it is."""
-    robot = load_arm(config.robot, config.attach, config.rest_share)
+    robot = load_arm(config)
     num = SPLITS[config.split][1] if config.num_problems is None else config.num_problems
     nodes = (0 if config.split == "test" else 200) if config.num_nodes is None else config.num_nodes
     if num < 1 or config.shard_size < 1:

@@ -7,12 +7,13 @@ import numpy as np
 import tyro
 
 from gnnjax.arguments import parse_arguments
+from gnnjax.arm_options import load_arm
 from gnnjax.errors import InputError, needs_extra, run_command
 from gnnjax.files import atomic_write, check_apart, check_target
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.query import unit_of
-from gnnjax.query_options import QueryOptions, read_query, read_robot
+from gnnjax.query_options import QueryOptions, read_query
 from gnnjax.trajectory.files import check_trajectory_file, save_trajectory
 from gnnjax.trajectory.options import MotionOptions, check_motion_options
 from gnnjax.trajectory.states import check_step, sample_trajectory
@@ -53,7 +54,7 @@ def main(config: PlanConfig) -> int:
             f"path file {str(config.out)!r} has the ending {config.out.suffix!r}; give .npz "
             "(arrays), or a motion's file as --trajectory, which may be .csv or .json"
         )
-    robot, start, goal, scene = read_query(config, read_robot(config, config.torque))
+    robot, start, goal, scene = read_query(config, load_arm(config, config.torque))
     moves = config.trajectory is not None or config.video is not None
     if config.trajectory is not None:
         check_trajectory_file(config.trajectory)

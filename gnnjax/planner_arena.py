@@ -36,6 +36,7 @@ CREATE TABLE runs (id INTEGER PRIMARY KEY AUTOINCREMENT, experimentid INTEGER, p
 CREATE TABLE progress (runid INTEGER, time REAL, PRIMARY KEY (runid, time),
   FOREIGN KEY (runid) REFERENCES runs(id) ON DELETE CASCADE);
 """
+_OF_ARM = ("joints", "hold", "allow", "attach", "rest_share")  # settings, beside its name
 _STATUSES = ("no path", "path", "certified path")
 
 
@@ -71,7 +72,7 @@ def _names(all_settings: list[dict[str, Any]], files: list[str]) -> list[str]:
     """What planners are called: runs of one name are taken for one planner's, whatever its seed."""
     titles = [title_of(settings) for settings in all_settings]
     apart = {
-        *("problems", "problems_sha256", "num_problems", "robot", "attach", "rest_share"),
+        *("problems", "problems_sha256", "num_problems", "robot", *_OF_ARM),
         *("seed", "time_limit", "radius"),
     }
     own = [{k: v for k, v in settings.items() if k not in apart} for settings in all_settings]
@@ -97,7 +98,7 @@ def _write(file: Path, all_results: list[dict[str, Any]], names: list[str]) -> N
             # Versions of what plans may differ: OMPL's planners are compared with ours.
             key = (
                 *(name, settings["num_problems"], settings["time_limit"]),
-                *(str(settings.get(x)) for x in ("problems_sha256", "attach", "rest_share")),
+                *(str(settings.get(x) or None) for x in ("problems_sha256", *_OF_ARM)),
                 *(machine.get(part) for part in ("processor", "cores", "device", "gnnjax")),
             )
             if key not in experiments:

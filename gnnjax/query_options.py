@@ -7,18 +7,17 @@ from typing import Any, Literal
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.arm.torques import Amounts
+from gnnjax.arm_options import HoldingOptions
 from gnnjax.errors import InputError
 from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
 from gnnjax.problems.moveit import query_from_moveit
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.any_file import read_scene
-from gnnjax.scene.holding import load_arm
 from gnnjax.scene.scene import Scene, make_scene
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class QueryOptions:
+class QueryOptions(HoldingOptions):
     """An arm, what stands around it, and where it is to go from where."""
 
     scene: Path
@@ -40,22 +39,8 @@ class QueryOptions:
     """Of the goal pose: how far from it is near enough, m and rad."""
     request: Path | None = None
     """MoveIt's motion plan request (.yaml), in place of start and goal."""
-    robot: str = "kuka_iiwa14"
-    """Shipped robot, or path of an MJCF or URDF."""
-    attach: Path | None = None
-    """JSON file with what the arm holds: {"body": NAME, "boxes": [...]}, lists as in a scene, in
-    the frame of that body; "mass" (kg) and "allow" (bodies that it may touch) if need be."""
-    rest_share: float | None = None
-    """Share of the motors' torques, above 0, up to 1, that may hold the arm at rest, with what it
-    holds: where it takes more, nothing is planned. Motions want some to move; none by default."""
     seed: int = 0
     """Seed of the roadmaps."""
-
-
-def read_robot(options: QueryOptions, torque: Amounts | None = None) -> Robot:
-    """The arm, with what it holds, and the share of torques that may hold it: of those of its
-    model, or of `torque`."""
-    return load_arm(options.robot, options.attach, options.rest_share, torque=torque)
 
 
 def read_query(

@@ -22,7 +22,8 @@ from flax import nnx
 from jax.sharding import Mesh
 
 from gnnjax.arguments import parse_arguments
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
+from gnnjax.arm_options import ArmOptions, load_bare_arm
 from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, run_command
@@ -45,7 +46,7 @@ from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_t
 
 
 @dataclasses.dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(ArmOptions):
     """Train a guidance network on a set of labelled roadmaps."""
 
     preset: str = "default"
@@ -213,11 +214,12 @@ def train(config: TrainConfig) -> Path:
 
 def _train(config: TrainConfig, mesh: Mesh | None) -> Path:
     cache_compilations()
-    robot = load_robot(config.robot)
+    robot = load_bare_arm(config.robot, config)
     if not config.data.exists():
         raise InputError(
             f"no training data at {str(config.data)!r}; make some with python -m gnnjax.generate "
             f"--split train --robot {config.robot} --out {config.data}"
+            + (", and the same --joints, --hold and --allow" if robot.choice else "")
         )
     problems = load_problems(config.data, robot)
     if config.num_roadmaps is not None and not 1 <= config.num_roadmaps <= len(problems):

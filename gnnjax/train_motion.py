@@ -21,7 +21,8 @@ from flax import nnx
 from jax.sharding import Mesh
 
 from gnnjax.arguments import parse_arguments
-from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.robot import Robot
+from gnnjax.arm_options import JointOptions, load_bare_arm
 from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.devices import cache_compilations, map_first
 from gnnjax.errors import InputError, run_command
@@ -41,7 +42,7 @@ _VALIDATION_STEPS = 8
 
 
 @dataclasses.dataclass(frozen=True)
-class TrainMotionConfig:
+class TrainMotionConfig(JointOptions):
     """Train a motion network on scenes and motions drawn without end."""
 
     robots: tuple[str, ...] = ("kuka_iiwa14", "kinova_gen3")
@@ -202,7 +203,7 @@ def train_motion(config: TrainMotionConfig) -> Path:
 
 def _train_motion(config: TrainMotionConfig, mesh: Mesh | None) -> Path:
     cache_compilations()
-    robots = [load_robot(name) for name in config.robots]
+    robots = [load_bare_arm(name, config) for name in config.robots]
     network = MotionNetwork(config.num_points, config.channels, rngs=nnx.Rngs(config.seed))
     graphdef, weights = nnx.split(network)
     warmup = min(100, config.steps // 10 + 1)
@@ -267,6 +268,13 @@ def _check_config(config: TrainMotionConfig) -> None:
         )
     if not config.robots:
         raise InputError("robots is empty; name at least one arm")
+    chosen = [
+        field.name for field in dataclasses.fields(JointOptions) if getattr(config, field.name)
+    ]
+    if chosen and len(config.robots) > 1:
+        raise InputError(
+            f"{chosen[0]} is of one arm, and robots names {len(config.robots)}; name that alone"
+        )
 
 
 if __name__ == "__main__":

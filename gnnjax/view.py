@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
+from gnnjax.arm_options import load_arm
 from gnnjax.errors import InputError, brief, needs_extra, run_command
 from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.pose.goal import PoseGoal
-from gnnjax.query_options import QueryOptions, of_pose, read_query, read_robot
+from gnnjax.query_options import QueryOptions, of_pose, read_query
 from gnnjax.scene.shapes import IDENTITY_QUAT
 from gnnjax.trajectory.options import MotionOptions
 from gnnjax.viewer.answers import Query, make_reach
@@ -66,7 +67,7 @@ def open_page(config: ViewConfig):
 
 def _read(config: ViewConfig) -> tuple[Robot, Query, PoseGoal]:
     """The arm, the query, and a pose of the hand whose frame, free axes and tolerance count."""
-    robot, start, goal, scene = read_query(config, read_robot(config, config.torque), edited=True)
+    robot, start, goal, scene = read_query(config, load_arm(config, config.torque), edited=True)
     pose = PoseGoal((0, 0, 0), IDENTITY_QUAT, *of_pose(config))
     start = _shown("start", robot, start)
     if "goal_pose" in goal:

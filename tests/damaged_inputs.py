@@ -195,7 +195,8 @@ def _arm(folder: Path) -> Path:
 def arms(folder: Path) -> Callable[[random.Random, Path], Callable[[], object]]:
     import numpy as np
 
-    from gnnjax.arm.robot import assets_dir, load_robot
+    from gnnjax.arm.robot import load_robot
+    from gnnjax.arm.shipped import assets_dir
     from gnnjax.collision.certify import certify_path
     from gnnjax.collision.checker import make_checker
     from gnnjax.scene.scene import make_scene

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from gnnjax.arm.robot import assets_dir, load_robot
+from gnnjax.arm.robot import load_robot
+from gnnjax.arm.shipped import assets_dir
 from gnnjax.errors import InputError
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.own_points import distances_to_hull

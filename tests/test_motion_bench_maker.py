@@ -21,6 +21,7 @@ from experiments.registry import EXPERIMENTS
 from experiments.results import load_results
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
+from gnnjax.evaluate import EvaluateConfig
 from gnnjax.planning.query import Plan, make_plan, plan_valid
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.shards import load_problems
@@ -175,7 +176,7 @@ def test_joints_may_be_held(published, tiny_path, tmp_path):
     )
     _, head = motion_bench_maker.measurement(config)
     assert head["settings"]["hold"] == {"c": 0.25}
-    case = contenders.HeldCase(
+    case = EvaluateConfig(
         robot=str(tiny_path),
         hold=config.hold,
         json=tmp_path / "x",

@@ -6,7 +6,7 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from gnnjax.arm.robot import assets_dir
+from gnnjax.arm.shipped import assets_dir
 from tests.notebooks import executed
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
@@ -24,7 +24,7 @@ def sparing(folder):
     (folder / "kuka_iiwa14.xml").write_text(text)
     return (
         "import pathlib, gnnjax.arm.robot\n"
-        f"gnnjax.arm.robot.assets_dir = lambda: pathlib.Path({str(folder)!r})"
+        f"gnnjax.arm.shipped.assets_dir = lambda: pathlib.Path({str(folder)!r})"
     )
 
 

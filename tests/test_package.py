@@ -33,8 +33,9 @@ ORDER = """
 interruption notice errors arguments per_object files devices clock digest surroundings
 memory_maps kept
 roll_call cluster
+arm.shipped
 arm.parts arm.bodies arm.hulls arm.couplings arm.joints arm.mjcf arm.mesh_files arm.urdf arm.sources
-arm.contacts arm.load
+arm.contacts arm.choice arm.load
 arm.reading arm.fit arm.blocks arm.covers arm.robot arm.kinematics arm.transforms arm.torques
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
 scene.scene scene.batches scene.allowed scene.surfaces scene.octomap scene.units scene.scene_file
@@ -68,7 +69,7 @@ paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.s
 baselines.ledger baselines.ompl
 measure.machine measure.own_planner measure.rows measure.batches measure.result_files
 measure.statistics measure.table measure.figure
-generate paper.losses train train_motion evaluate planner_arena video query_options plan
+arm_options generate paper.losses train train_motion evaluate planner_arena video query_options plan
 plot_execution execute fit
 viewer.frames viewer.meshes viewer.worker viewer.answers viewer.session viewer.prices viewer.stage
 viewer.player viewer.ends viewer.obstacles viewer.saving viewer.downloads viewer.panel viewer.page

@@ -11,6 +11,7 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.arm.torques import can_rest, rests
+from gnnjax.arm_options import load_arm
 from gnnjax.digest import digest
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, planner_for
@@ -23,7 +24,6 @@ from gnnjax.planning.query import check_queries
 from gnnjax.pose.goal import PoseGoal
 from gnnjax.pose.inverse import inverse_kinematics
 from gnnjax.problems.problem import Problem
-from gnnjax.query_options import read_robot
 from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.scene import make_scene
@@ -196,8 +196,8 @@ def test_commands_take_a_share(tiny_path):
     options: dict = {"robot": "kinova_gen3", "rest_share": 0.5}
     limit = load_robot("kinova_gen3").torque_limit
     planned = PlanConfig(scene=Path(), **options)
-    np.testing.assert_allclose(read_robot(planned).rest_limit, limit / 2)
-    np.testing.assert_allclose(read_robot(planned, (30.0,)).rest_limit, [15.0] * 6)
+    np.testing.assert_allclose(load_arm(planned).rest_limit, limit / 2)
+    np.testing.assert_allclose(load_arm(planned, (30.0,)).rest_limit, [15.0] * 6)
     evaluated = EvaluateConfig(problems=Path(), json=Path(), **options)
     np.testing.assert_allclose(planner_for(evaluated).robot.rest_limit, limit / 2)
     with pytest.raises(InputError, match="joint a of tiny has no torque limit"):

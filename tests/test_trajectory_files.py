@@ -221,7 +221,7 @@ def test_the_command_writes_a_motion_from_start_to_goal(tiny_path, tmp_path, cap
     np.testing.assert_allclose(ends, [config.start, config.goal], atol=1e-9)
     found = json.loads(config.trajectory.read_text())["gnnjax"]
     names = {"cost_before", "cost", "clearance_before", "clearance"}
-    assert set(found) == {"robot", "held", *names}
+    assert set(found) == {"robot", "choice", "held", *names}
     assert found["cost"] < found["cost_before"]
     assert 0 < found["clearance"] <= 0.25
     told = capsys.readouterr().out

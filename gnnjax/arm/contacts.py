@@ -9,7 +9,7 @@ import numpy as np
 
 from gnnjax.arm.mjcf import collision_geoms, self_pairs
 from gnnjax.arm.parts import Part
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, perhaps
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SAMPLES = 2000  # configurations
@@ -23,21 +23,27 @@ def without_bodies(
     bodies: Sequence[str],
     allow: Sequence[tuple[str, str]],
     path: Path,
-) -> np.ndarray:
-    """Pairs `[Q 2]` of parts less those of the bodies in `allow`, which are named.
+) -> tuple[np.ndarray, tuple[tuple[str, str], ...]]:
+    """Pairs `[Q 2]` of parts less those of the bodies in `allow`, which are named; and the names of
+    the bodies, each two of them sorted, that this has taken pairs from.
 
     Raises:
         InputError: no body of that name.
     """
     known = ["world", *bodies]
     if unknown := [name for two in allow for name in two if name not in known]:
-        raise InputError(f"no body {unknown[0]!r} in {str(path)!r} to allow; there are {known}")
+        meant = perhaps(unknown[0], known)
+        raise InputError(
+            f"no body {unknown[0]!r} in {str(path)!r} to allow{meant}; there are {known}"
+        )
     allowed = {frozenset(two) for two in allow}
-    keep = [
-        frozenset((known[parts[a].body + 1], known[parts[b].body + 1])) not in allowed
+    bodies_of = [
+        tuple(sorted((known[parts[a].body + 1], known[parts[b].body + 1])))
         for a, b in pairs.tolist()
     ]
-    return pairs[np.array(keep, bool)]
+    keep = [frozenset(two) not in allowed for two in bodies_of]
+    gone = {(a, b) for (a, b), kept in zip(bodies_of, keep, strict=True) if not kept}
+    return pairs[np.array(keep, bool)], tuple(sorted(gone))
 
 
 def bearings(

@@ -13,10 +13,11 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.couplings import Couplings, find_couplings, joints_of
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, perhaps
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+MOVED = (_HINGE, _SLIDE)  # by one value; free and ball joints are held as they are
 _EQ_JOINT = int(mujoco.mjtEq.mjEQ_JOINT)
 _EQ_TENDON = int(mujoco.mjtEq.mjEQ_TENDON)
 _SAME = 1e-6  # rad or m
@@ -58,7 +59,8 @@ def choose_joints(
     """
     names = [joint_name(model, j) for j in range(model.njnt)]
     if unknown := [name for name in (*(joints or ()), *hold) if name not in names]:
-        raise InputError(f"no joint {unknown[0]!r} in {str(path)!r}; there are {names}")
+        meant = perhaps(unknown[0], names)
+        raise InputError(f"no joint {unknown[0]!r} in {str(path)!r}{meant}; there are {names}")
     if joints is not None:
         chosen = [names.index(name) for name in joints]
         if not chosen or chosen != sorted(set(chosen)):
@@ -83,7 +85,7 @@ def choose_joints(
         if j in chosen:
             continue
         held[j] = 0.0
-        if int(model.jnt_type[j]) in (_HINGE, _SLIDE):
+        if int(model.jnt_type[j]) in MOVED:
             held[j] = float(rest[model.jnt_qposadr[j]])
             if model.jnt_limited[j]:
                 held[j] = float(np.clip(held[j], *model.jnt_range[j]))
@@ -92,7 +94,9 @@ def choose_joints(
     for name, value in hold.items():
         j = names.index(name)
         lower, upper = model.jnt_range[j] if model.jnt_limited[j] else (-math.inf, math.inf)
-        if not (lower - 1e-6 <= value <= upper + 1e-6 and math.isfinite(value)):
+        if not math.isfinite(value):
+            raise InputError(f"joint {name!r} is to be held at {value:g}; give a finite number")
+        if not lower - 1e-6 <= value <= upper + 1e-6:
             raise InputError(
                 f"joint {name!r} is to be held at {value:g}; it must lie between {lower:g} and "
                 f"{upper:g}"
@@ -187,7 +191,7 @@ def hold_joints(spec: mujoco.MjSpec, model: mujoco.MjModel, held: Mapping[int, f
     joints = {joint.id: joint for joint in spec.joints}
     anchors, axes = model.jnt_pos.copy(), model.jnt_axis.copy()
     for j in sorted(held):
-        if int(model.jnt_type[j]) not in (_HINGE, _SLIDE):
+        if int(model.jnt_type[j]) not in MOVED:
             continue  # its body stays where the model has it
         moved, turned = _motion(model, j, anchors[j], axes[j], held[j])
         body = bodies[int(model.jnt_bodyid[j])]

@@ -1,5 +1,6 @@
 """Reads an arm from MJCF or URDF: the joints that are planned for, seen from the arm's base."""
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.contacts import pair_explicitly
-from gnnjax.arm.joints import choose_joints, hold_joints, joint_name
+from gnnjax.arm.joints import MOVED, choose_joints, hold_joints, joint_name
 from gnnjax.arm.mjcf import (
     check_numbers,
     collision_geoms,
@@ -38,6 +39,8 @@ class Reading(NamedTuple):
 
     spec: mujoco.MjSpec  # of the planned joints alone; "the world" is the arm's base
     held: dict[str, float]  # joints that are not planned for, rad or m; 0: free and ball joints
+    fixed: tuple[tuple[str, float], ...]  # the hinges and slides among them, sorted
+    by_itself: bool  # whether all joints are planned for and held as the file alone says
     home: np.ndarray | None  # [D] the keyframe "home"
     velocity_limit: np.ndarray | None  # [D] rad/s or m/s; None where one is not given
     acceleration_limit: np.ndarray | None  # [D] rad/s^2 or m/s^2
@@ -67,6 +70,10 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
             'let it collide with nothing (<contact contype="0" conaffinity="0"/>)'
         )
     choice = choose_joints(model, path, joints, hold)
+    by_itself = joints is None and not hold
+    if not by_itself:
+        with contextlib.suppress(InputError):  # by itself it is no arm that can be planned for
+            by_itself = choice == choose_joints(model, path, None, {})
     for name in (joint_name(model, j) for j in choice.planned):
         if name in no_room:
             lower, upper = no_room[name]
@@ -127,6 +134,8 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     if choice.held:
         hold_joints(spec, model, choice.held)
     held = {joint_name(model, j): value for j, value in choice.held.items()}
+    kinds = {joint_name(model, j): int(model.jnt_type[j]) for j in choice.held}
+    fixed = tuple(sorted((name, x) for name, x in held.items() if kinds[name] in MOVED))
     if open_ones := [f"{name} at {x:.4g}" for name, x in held.items() if name not in hold]:
         notes.append(f"joints that are not planned for are held: {', '.join(open_ones)}")
     if endless or ground or choice.held:
@@ -142,7 +151,7 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
                 geom.contype, geom.conaffinity = 1, 1
         notes.append("contype and conaffinity let no two links meet; here all but neighbours do")
     move_to_base(spec, model)
-    return Reading(spec, held, home, *limits, tuple(notes))
+    return Reading(spec, held, fixed, by_itself, home, *limits, tuple(notes))
 
 
 def _kept_apart(

@@ -22,6 +22,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.bodies import Body, read_body
+from gnnjax.arm.choice import ArmChoice
 from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
 from gnnjax.arm.covers import cover_file, cover_parts, pairs_of_rows
 from gnnjax.arm.joints import joint_name
@@ -29,17 +30,12 @@ from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
+from gnnjax.arm.shipped import assets_dir, find_model
 from gnnjax.arm.sources import Written, written
 from gnnjax.errors import InputError, brief
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _LOG = logging.getLogger(__name__)
-
-
-def assets_dir() -> Path:
-    """The folder of the shipped MJCF: inside the wheel, or at the top of a checkout."""
-    inside = Path(__file__).parents[1] / "assets"
-    return inside if inside.is_dir() else Path(__file__).parents[2] / "assets"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,6 +49,7 @@ class Robot:
     bodies: tuple[Body, ...]  # parents before children
     joint_names: tuple[str, ...]  # D of those that are planned for
     held: dict[str, float]  # the other joints of the file, and where they are held, rad or m
+    choice: ArmChoice | None  # joints and contacts, where they are not as the file alone has them
     joint_lower: np.ndarray  # [D] rad or m
     joint_upper: np.ndarray  # [D] rad or m
     velocity_limit: np.ndarray | None  # [D] rad/s or m/s; None where the file does not name all
@@ -90,6 +87,14 @@ class Robot:
     def geom_ids(self) -> np.ndarray:
         """`[G]` geom of `mj_model` that each row covers."""
         return self.part_geom_ids[self.geom_parts]
+
+    @property
+    def plain_name(self) -> str:
+        """How it is called in files that do not tell joints and contacts that were chosen."""
+        name = self.path.stem
+        for load in self.loads:
+            name = load.name_of(name)
+        return name
 
     @property
     def num_dof(self) -> int:
@@ -196,22 +201,7 @@ def _load(
     hold: tuple[tuple[str, float], ...],
     allow: tuple[tuple[str, str], ...],
 ) -> Robot:
-    if path.suffix not in (".xml", ".urdf"):
-        name = str(path)
-        path = assets_dir() / f"{name}.xml"
-        known = sorted(
-            file.stem
-            for file in assets_dir().glob("*.xml")
-            if "<mujoco" in file.read_text(encoding="utf-8")
-        )
-        if name not in known:
-            raise InputError(
-                f"no robot {name!r} in assets/; there are {known}, "
-                "or give the path of an MJCF file ending in .xml or a URDF ending in .urdf"
-            )
-    elif not path.is_file():
-        kind = "URDF" if path.suffix == ".urdf" else "MJCF"
-        raise InputError(f"no {kind} file at {str(path)!r}; check the path")
+    path = find_model(path)
     try:
         with without_warnings():
             reading = read_arm(path, joints, dict(hold))
@@ -255,7 +245,8 @@ def _robot_of(
         )
 
     tested = self_pairs(model, geom_ids)
-    pairs = without_bodies(tested, parts, [body.name for body in bodies], allow, path)
+    names = [body.name for body in bodies]
+    pairs, may = without_bodies(tested, parts, names, allow, path)
     remedy = "give allow=[(body, body)], or exclude them in the MJCF (<contact><exclude .../>)"
     touching = always_touching(model, geom_ids, pairs, reading.home, parts, repr(path.name), remedy)
     free = touching | bearings(model, geom_ids, pairs, parts)
@@ -270,14 +261,18 @@ def _robot_of(
         notes = *notes, f"parts that always touch, or do at home, may: {named}"
 
     rows = cover_parts(parts, cover_file(path))
+    planned = tuple(joint_name(model, j) for j in range(model.njnt))
+    by_itself = reading.by_itself and not may
+    choice = None if by_itself else ArmChoice(planned, reading.fixed, may)
     return Robot(
-        name=path.stem,
+        name=path.stem if choice is None else choice.name_of(path.stem),
         path=path,
         mj_spec=reading.spec,
         mj_model=model,
         bodies=bodies,
-        joint_names=tuple(joint_name(model, j) for j in range(model.njnt)),
+        joint_names=planned,
         held=reading.held,
+        choice=choice,
         joint_lower=lower,
         joint_upper=upper,
         velocity_limit=reading.velocity_limit,

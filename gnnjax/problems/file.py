@@ -1,5 +1,6 @@
 """Problem files: a set of problems as one `.npz` without pickles."""
 
+import logging
 from pathlib import Path
 
 import jax
@@ -26,8 +27,11 @@ from gnnjax.scene.shapes import (
     sums_of,
 )
 
+_LOG = logging.getLogger(__name__)
 _PROBLEMS = FileKind("problem file", "a problem set", "generate it again")
 _NAMES = ("robot", "start", "goal")
+# From this format on the robot's name tells joints and contacts that were chosen, too.
+_FORMAT = "format", 2
 # Arrays of a problem file for the obstacles of each kind, by what they hold; and their number.
 _ROUND = ("centers", "radii", "half_lengths", "quats")
 _ARRAYS = for_every_kind(
@@ -86,6 +90,7 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
     start, goal, scene = problem_set.problems
     scene = jax.tree.map(np.asarray, scene)
     arrays = {
+        _FORMAT[0]: np.array(_FORMAT[1]),
         "robot": np.array(problem_set.robot),
         "start": np.asarray(start, np.float32),
         "goal": np.asarray(goal, np.float32),
@@ -129,13 +134,23 @@ def load_file(path: Path, robot: Robot) -> ProblemSet:
     if missing:
         raise InputError(f"problem file {str(path)!r} lacks {missing}; it needs {list(_NEEDED)}")
     named = str(arrays["robot"])
-    if named != robot.name:
+    tells = np.array_equal(arrays.get(_FORMAT[0], 0), _FORMAT[1])
+    if named != robot.name and (tells or named != robot.plain_name):
+        chosen = named.partition("_chosen_")[0] == robot.name.partition("_chosen_")[0]
+        how = " with its --joints, --hold and --allow" if chosen else ""
         raise InputError(
             f"problem file {str(path)!r} is for robot {named!r}, not {robot.name!r}; "
-            f"name that robot, or use problems of {robot.name}"
+            f"name that robot{how}, or use problems of {robot.name}"
         )
+    if named != robot.name:
+        _LOG.warning("%r does not tell where joints were held; taken for %s", str(path), robot.name)
     present = [kind for kind in KINDS if _names_of(kind) & arrays.keys()]
-    known = {*_NAMES, *_CLOUD, *(name for kind in present for name in _names_of(kind))}
+    known = {
+        *_NAMES,
+        *_FORMAT[: int(tells)],
+        *_CLOUD,
+        *(name for kind in present for name in _names_of(kind)),
+    }
     extras = {name: value for name, value in arrays.items() if name not in known}
     _check_further(f"problem file {str(path)!r}", extras)
     num = len(np.atleast_1d(arrays["start"]))

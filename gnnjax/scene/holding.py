@@ -18,8 +18,7 @@ from gnnjax.arm.covers import pairs_of_rows
 from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import self_pairs, without_warnings
 from gnnjax.arm.parts import part_of_geom
-from gnnjax.arm.robot import Robot, load_robot
-from gnnjax.arm.torques import Amounts
+from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.held import Item, add_body, items_from, pose_from
 from gnnjax.scene.pose import Pose
@@ -179,29 +178,6 @@ def attach_from_json(robot: Robot, path: str | Path) -> Robot:
         raise InputError(f"{called} has allow = {brief(allow)}; give a list of names of bodies")
     shapes = shapes_of(data, called, repr(str(path)))
     return attach(robot, body, shapes, mass=mass and float(mass), allow=allow)
-
-
-def load_arm(
-    name: str,
-    attach: str | Path | None = None,
-    rest_share: float | None = None,
-    *,
-    torque: Amounts | None = None,
-) -> Robot:
-    """The arm that options of a command name.
-
-    Args:
-        name: as of `load_robot`.
-        attach: file with what it holds.
-        rest_share: see `Robot.at_rest_within`, as is `torque`.
-
-    Raises:
-        InputError: from `load_robot`, `attach_from_json` or `Robot.at_rest_within`.
-    """
-    robot = load_robot(name)
-    if attach is not None:
-        robot = attach_from_json(robot, attach)
-    return robot if rest_share is None else robot.at_rest_within(rest_share, torque=torque)
 
 
 def _check(robot: Robot, body: str, allow: Sequence[str]) -> None:

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from gnnjax.arm.choice import ArmChoice, choice_from_json
 from gnnjax.arm.load import Load, load_from_json
-from gnnjax.arm.robot import Robot
+from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.errors import InputError, brief
 from gnnjax.files import FileKind, atomic_write, check_target, read_arrays
 from gnnjax.scene.holding import attach_again
@@ -39,9 +40,10 @@ def save_trajectory(
 ) -> None:
     """Writes a motion, sampled every `dt` seconds, of the kind that the file's ending says.
 
-    Arrays and messages also tell the name of the arm and all of what it held, and of costs and
-    clearances, before and after corners were rounded; messages do so under a key of their own,
-    "gnnjax", which ROS does not know. A table has room for neither.
+    Arrays and messages also tell the name of the arm, its joints and contacts where these were
+    chosen, all of what it held, and of costs and clearances, before and after corners were rounded;
+    messages do so under a key of their own, "gnnjax", which ROS does not know. A table has room for
+    neither.
 
     Raises:
         InputError: see `check_trajectory_file` and `sample_trajectory`.
@@ -67,21 +69,27 @@ def load_trajectory(robot: Robot, path: str | Path) -> Setpoints:
 
 
 def robot_of_trajectory(robot: Robot, path: str | Path) -> Robot:
-    """The arm that a file's motion is of: the robot, with what that held.
+    """The arm that a file's motion is of: the robot, with the joints and contacts that were chosen,
+    and with what it held.
 
-    It is the robot itself where that holds something already, the file's arm held nothing or was
-    another one, or the file is a table, which does not tell.
+    It is the robot itself where that holds something or has joints that were chosen already, the
+    file's arm had neither or was another one, or the file is a table, which does not tell.
 
     Raises:
         InputError: no such file, another ending, or no motion is in it; see `Robot.attach`.
     """
     read = _read(Path(path))
-    name = robot.name
+    chosen = None if robot.choice else read.choice
+    name = chosen.name_of(robot.name) if chosen else robot.name
     for load in read.loads:
         name = load.name_of(name)
-    # Names have a digest of what is held, so that a file that was edited is of no known arm.
-    if robot.loads or name != read.robot:
+    # Names have a digest of all this, so that a file that was edited is of no known arm. Torques at
+    # rest are limited joint by joint, of other joints maybe.
+    if robot.loads or name != read.robot or (chosen and robot.rest_limit is not None):
         return robot
+    if chosen:
+        given = dict(chosen.hold)
+        robot = load_robot(robot.path, joints=chosen.joints, hold=given, allow=chosen.allow)
     for load in read.loads:
         robot = attach_again(robot, load)
     return robot
@@ -113,10 +121,11 @@ def _read(path: Path) -> "_Read":
 
 def _check_arm(robot: Robot, read: "_Read", called: str) -> None:
     remedy = "name the arm that it was planned for"
-    if read.robot not in (None, robot.name):
+    known = robot.name, robot.plain_name if read.untold else robot.name
+    if read.robot not in (None, *known):
         raise InputError(
-            f"{called} is of {brief(read.robot)}, not of {robot.name}; {remedy}, and what it held "
-            "(--attach, or --request)"
+            f"{called} is of {brief(read.robot)}, not of {robot.name}; {remedy}, its joints "
+            "(--joints, --hold, --allow), and what it held (--attach, or --request)"
         )
     if read.joint_names != list(robot.joint_names):
         raise InputError(
@@ -129,6 +138,8 @@ class _Read(NamedTuple):
     """What a file holds, as it is."""
 
     robot: str | None  # None where files of the kind do not tell
+    choice: ArmChoice | None  # of its joints and contacts
+    untold: bool  # of a version that did not tell that
     loads: tuple[Load, ...]  # that this arm holds
     joint_names: list[str]
     points: Setpoints
@@ -139,6 +150,7 @@ def _npz(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
         np.savez_compressed(
             stream,
             robot=np.array(robot.name),
+            choice=np.array(json.dumps(_chosen(robot))),
             held=np.array(json.dumps(_held(robot))),
             joint_names=np.array(robot.joint_names),
             **points._asdict(),
@@ -151,7 +163,10 @@ def _from_npz(path: Path) -> _Read:
     points = Setpoints(*(np.asarray(arrays[name], float) for name in Setpoints._fields))
     # Files of version 0.1 do not tell what was held.
     loads = _loads(json.loads(str(arrays["held"]))) if "held" in arrays else ()
-    return _Read(str(arrays["robot"]), loads, arrays["joint_names"].tolist(), points)
+    untold = "choice" not in arrays
+    choice = None if untold else _choice(json.loads(str(arrays["choice"])))
+    joints = arrays["joint_names"].tolist()
+    return _Read(str(arrays["robot"]), choice, untold, loads, joints, points)
 
 
 def _csv(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
@@ -171,7 +186,7 @@ def _from_csv(path: Path) -> _Read:
         raise ValueError(f"its columns are {brief(head)}")
     table = np.array(rows, float).reshape(len(rows), len(head))
     points = Setpoints(table[:, 0], *np.split(table[:, 1:], len(kinds), axis=1))
-    return _Read(None, (), joints, points)
+    return _Read(None, None, True, (), joints, points)
 
 
 def _json(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
@@ -191,7 +206,7 @@ def _json(robot: Robot, points: Setpoints, facts: _Facts, file: Path) -> None:
             }
             for time, positions, velocities, accelerations, torques in rows
         ],
-        "gnnjax": {"robot": robot.name, "held": _held(robot), **facts},
+        "gnnjax": {"robot": robot.name, "choice": _chosen(robot), "held": _held(robot), **facts},
     }
     file.write_text(json.dumps(message, indent=1), encoding="utf-8")
 
@@ -207,7 +222,20 @@ def _from_json(path: Path) -> _Read:
     # Those of version 0.1 tell neither.
     told = own.keys() & {"held"}
     named, loads = (own["robot"], _loads(own["held"])) if told else (None, ())
-    return _Read(named, loads, message["joint_names"], Setpoints(times, *columns))
+    choice = _choice(own.get("choice"))
+    points = Setpoints(times, *columns)
+    return _Read(named, choice, "choice" not in own, loads, message["joint_names"], points)
+
+
+def _chosen(robot: Robot) -> dict | None:
+    return robot.choice and robot.choice.as_json()
+
+
+def _choice(chosen: Any) -> ArmChoice | None:
+    try:
+        return None if chosen is None else choice_from_json(chosen)
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError):
+        raise ValueError(f"what was chosen of the arm is {brief(chosen)}") from None
 
 
 def _held(robot: Robot) -> list[dict]:

@@ -1,14 +1,16 @@
 """A page in the browser: a session, and what shows it."""
 
+import dataclasses
+
 import numpy as np
 import viser
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm_options import HoldingOptions, load_arm
 from gnnjax.errors import InputError
 from gnnjax.planning.planner import Planner
 from gnnjax.pose.goal import PoseGoal
 from gnnjax.pose.inverse import prepare
-from gnnjax.query_options import read_robot
 from gnnjax.viewer.answers import Query, make_reach, make_solver
 from gnnjax.viewer.frames import Frames
 from gnnjax.viewer.panel import Panel
@@ -68,13 +70,13 @@ class Page:
         self.server.stop()
 
     def _query_text(self, config) -> str:
-        if read_robot(config, config.torque).name != self.session.robot.name:
+        if load_arm(config, config.torque).name != self.session.robot.name:
             raise InputError(
                 "the arm holds what its --request has attached, and the query would not name it; "
                 "save the scene alone, and keep the request"
             )
-        others = {name: getattr(config, name) for name in ("robot", "attach", "rest_share")}
-        others["seed"] = config.seed or None
+        names = [*(field.name for field in dataclasses.fields(HoldingOptions)), "seed"]
+        others = {name: getattr(config, name) or None for name in names}
         return query_text(self.session, config, **others)
 
     def _look(self, robot: Robot) -> None:
