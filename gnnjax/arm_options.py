@@ -2,6 +2,9 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.arm.torques import Amounts
@@ -13,13 +16,17 @@ from gnnjax.scene.holding import attach_from_json
 class JointOptions:
     """What is planned for of an arm."""
 
-    joints: tuple[str, ...] | None = None
+    joints: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="JOINT [JOINT ...]")] = None
     """Joints to plan for, in the order of the file; by default all that are neither held nor
     coupled to others."""
-    hold: tuple[tuple[str, float], ...] = ()
+    hold: Annotated[
+        tuple[tuple[str, float], ...], tyro.conf.arg(metavar="JOINT VALUE [JOINT VALUE ...]")
+    ] = ()
     """Joints that do not move, and where, rad or m: finger_1 0.04 finger_2 0.04. Others that are
     not planned for are held at home, or at zero."""
-    allow: tuple[tuple[str, str], ...] = ()
+    allow: Annotated[
+        tuple[tuple[str, str], ...], tyro.conf.arg(metavar="BODY BODY [BODY BODY ...]")
+    ] = ()
     """Bodies that may touch, two by two, besides those that the file excludes: hand link_4 base
     link_2."""
 

@@ -3,7 +3,7 @@
 import dataclasses
 import io
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
 import tyro
@@ -12,8 +12,26 @@ from gnnjax.arguments import parse_arguments
 from gnnjax.errors import InputError
 
 
+@dataclasses.dataclass(frozen=True)
+class More:
+    """Options."""
+
+    far: int = 0
+    """As it is written here, this begins in one
+    line and ends in another."""
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Config:
+class Base:
+    """What others inherit."""
+
+    near: int = 0
+    """As it is written here, that begins in one
+    line and ends in another."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Config(Base):
     """Do something."""
 
     name: tyro.conf.Positional[str]
@@ -26,6 +44,9 @@ class Config:
     """Batches."""
     split: Literal["train", "test"] = "test"
     """Of the data."""
+    hold: Annotated[tuple[tuple[str, float], ...], tyro.conf.arg(metavar="JOINT VALUE ...")] = ()
+    """Joints."""
+    more: Annotated[More, tyro.conf.arg(name="")] = dataclasses.field(default_factory=More)
 
 
 GOOD = ["arm", "--scene", "scene.json"]
@@ -51,6 +72,8 @@ def test_a_command_line_becomes_a_configuration():
             "invalid choice 'all' for argument '--split'. Expected one of ('train', 'test'); do",
         ),
         ([*GOOD, "--goal", "a"], "--goal takes FLOAT [FLOAT ...], not ['a']; do"),
+        ([*GOOD, "--hold", "a"], "--hold takes JOINT VALUE ..., not ['a']; do"),
+        ([*GOOD, "--hold", "a", "b"], "--hold takes JOINT VALUE ..., not ['a', 'b']; do"),
     ],
 )
 def test_what_is_wrong_is_one_sentence(monkeypatch, columns, in_box, args, message):
@@ -76,3 +99,16 @@ def test_help_goes_where_it_always_does(capsys):
     printed = capsys.readouterr()
     assert printed.out.startswith("usage: do [-h]")
     assert printed.err == ""
+
+
+@pytest.mark.parametrize("columns", ["80", "140"])
+def test_help_fills_the_width_of_the_terminal(monkeypatch, capsys, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+    with pytest.raises(SystemExit):
+        parse_arguments(Config, args=["--help"], prog="do")
+    lines = [line.strip("│ ") for line in capsys.readouterr().out.splitlines()]
+    for word in ("this", "that"):
+        (at,) = [i for i, line in enumerate(lines) if f"here, {word}" in line]
+        assert "begins in one line and" in " ".join(lines[at : at + 2])
+        # Where the docstring has the next line, none begins here.
+        assert not lines[at].endswith("begins in one")

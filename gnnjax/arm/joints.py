@@ -63,7 +63,9 @@ def choose_joints(
         raise InputError(f"no joint {unknown[0]!r} in {str(path)!r}{meant}; there are {names}")
     if joints is not None:
         chosen = [names.index(name) for name in joints]
-        if not chosen or chosen != sorted(set(chosen)):
+        if not chosen:
+            raise InputError(f"joints is {list(joints)}; name those to plan for, of {names}")
+        if chosen != sorted(set(chosen)):
             order = [name for name in names if name in joints]
             raise InputError(f"joints is {list(joints)}; name each once, in the order {order}")
         if both := [name for name in joints if name in hold]:
