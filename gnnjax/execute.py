@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gnnjax.arguments import parse_arguments
-from gnnjax.arm.robot import Robot
+from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.arm_options import ArmOptions, load_bare_arm
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import check_apart
@@ -21,7 +21,7 @@ from gnnjax.trajectory.execution import (
     execute_trajectory,
     motion_clearance,
 )
-from gnnjax.trajectory.files import load_trajectory, robot_of_trajectory
+from gnnjax.trajectory.files import choice_of_trajectory, load_trajectory, robot_of_trajectory
 from gnnjax.trajectory.simulate import ModelErrors
 from gnnjax.trajectory.steps import at_steps
 from gnnjax.video import check_video, draw_video
@@ -73,7 +73,7 @@ def main(config: ExecuteConfig) -> int:
         (config.figure, config.video),
         (config.scene, config.trajectory, config.request, config.attach, config.robot),
     )
-    robot = load_bare_arm(config.robot, config)
+    robot = _read_arm(config)
     if config.attach is not None:
         robot = attach_from_json(robot, config.attach)
     scene = None
@@ -81,10 +81,7 @@ def main(config: ExecuteConfig) -> int:
         robot, (_, _, scene) = read_request(config.scene, config.request, robot)
     given = robot
     robot = robot_of_trajectory(given, config.trajectory)
-    notes = [note for note in robot.notes if note not in given.notes]
-    if robot.choice != given.choice:
-        notes = [str(robot.choice), *notes]
-    for note in notes:
+    for note in robot.notes[len(given.notes) :]:
         print(f"as {config.trajectory} says, {note}")
     points = load_trajectory(robot, config.trajectory)
     if scene is None:
@@ -123,6 +120,17 @@ def main(config: ExecuteConfig) -> int:
         draw_video(robot, scene, found.trace.times, found.trace.positions, config.video)
         print(f"wrote {config.video}")
     return 0 if found.success else 1
+
+
+def _read_arm(config: ExecuteConfig) -> Robot:
+    """The arm, of which the options choose, or else the file of the motion says what was chosen."""
+    choice = None
+    if config.joints is None and not config.hold and not config.allow:
+        choice = choice_of_trajectory(Path(config.robot).stem, config.trajectory)
+    if choice is None:
+        return load_bare_arm(config.robot, config)
+    print(f"as {config.trajectory} says, {choice}")
+    return load_robot(config.robot, **choice.arguments())
 
 
 def _tell(robot: Robot, found: Execution) -> None:

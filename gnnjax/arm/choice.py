@@ -19,9 +19,13 @@ class ArmChoice(NamedTuple):
         digest = hashlib.sha256(repr((name, *self)).encode()).hexdigest()[:8]
         return f"{name}_chosen_{digest}"
 
+    def arguments(self) -> dict[str, Any]:
+        """Of `load_robot`, which makes the same arm again."""
+        return {**self._asdict(), "hold": dict(self.hold)}
+
     def as_json(self) -> dict[str, Any]:
         """In words, lists and numbers, from which `choice_from_json` makes the same."""
-        return {**self._asdict(), "hold": dict(self.hold)}
+        return self.arguments()
 
     def __str__(self) -> str:
         """For people to read."""

@@ -80,19 +80,35 @@ def robot_of_trajectory(robot: Robot, path: str | Path) -> Robot:
     """
     read = _read(Path(path))
     chosen = None if robot.choice else read.choice
-    name = chosen.name_of(robot.name) if chosen else robot.name
-    for load in read.loads:
-        name = load.name_of(name)
-    # Names have a digest of all this, so that a file that was edited is of no known arm. Torques at
-    # rest are limited joint by joint, of other joints maybe.
-    if robot.loads or name != read.robot or (chosen and robot.rest_limit is not None):
+    # Torques at rest are limited joint by joint, of other joints maybe.
+    unlike = chosen is not None and robot.rest_limit is not None
+    if robot.loads or unlike or read.robot != _name_of(robot.name, chosen, read.loads):
         return robot
     if chosen:
-        given = dict(chosen.hold)
-        robot = load_robot(robot.path, joints=chosen.joints, hold=given, allow=chosen.allow)
+        robot = load_robot(robot.path, **chosen.arguments())
     for load in read.loads:
         robot = attach_again(robot, load)
     return robot
+
+
+def choice_of_trajectory(name: str, path: str | Path) -> ArmChoice | None:
+    """Joints and contacts that were chosen of the arm that a file's motion is of; None where these
+    are as the arm's own file has them, its name is another one, or the file does not tell.
+
+    Raises:
+        InputError: no such file, another ending, or no motion is in it.
+    """
+    read = _read(Path(path))
+    return read.choice if read.robot == _name_of(name, read.choice, read.loads) else None
+
+
+def _name_of(name: str, choice: ArmChoice | None, loads: tuple[Load, ...]) -> str:
+    """How an arm is called with all this. Names have a digest of it, so that a file that was edited
+    is of no known arm."""
+    name = choice.name_of(name) if choice else name
+    for load in loads:
+        name = load.name_of(name)
+    return name
 
 
 def _read(path: Path) -> "_Read":
