@@ -38,7 +38,7 @@ from gnnjax.measure.result_files import (
     write_results,
 )
 from gnnjax.measure.statistics import columns_of, summarize, summarize_columns
-from gnnjax.measure.table import print_summary, title_of
+from gnnjax.measure.table import print_summary, titles_of
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
@@ -202,7 +202,7 @@ def _drawing(
 
     def draw(results: dict[str, Any]) -> None:
         named = {names[config.json]: results} | others
-        titles = [title_of(each["settings"]) for each in named.values()]
+        titles = titles_of([each["settings"] for each in named.values()])
         summaries = {
             f"{title} ({name})" if titles.count(title) > 1 else title: each["summary"]
             for title, (name, each) in zip(titles, named.items(), strict=True)

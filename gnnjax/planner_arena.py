@@ -16,7 +16,7 @@ from gnnjax.arguments import parse_arguments
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_apart, check_target
 from gnnjax.measure.result_files import names_of, read_results
-from gnnjax.measure.table import title_of
+from gnnjax.measure.table import titles_of
 
 # The tables of OMPL's ompl_benchmark_statistics.py (Moll, Sucan and Kavraki, 2015), which Planner
 # Arena reads; `runs` has further columns for what was measured.
@@ -70,7 +70,7 @@ def planner_arena(config: ArenaConfig) -> Path:
 
 def _names(all_settings: list[dict[str, Any]], files: list[str]) -> list[str]:
     """What planners are called: runs of one name are taken for one planner's, whatever its seed."""
-    titles = [title_of(settings) for settings in all_settings]
+    titles = titles_of(all_settings)
     apart = {
         *("problems", "problems_sha256", "num_problems", "robot", *_OF_ARM),
         *("seed", "time_limit", "radius"),

@@ -198,13 +198,15 @@ def test_a_run_that_was_cut_off_in_a_batch_comes_to_the_same_rows(
 
 def test_a_picture_shows_results_beside_those_of_others(tiny_path, problems, results, tmp_path):
     (tmp_path / "b").mkdir()
-    for name in ("one", "other", "b/other", "prm"):
+    for name in ("one", "other", "b/other", "prm", "dear"):
         changed = json.loads(json.dumps(results))
         changed["settings"]["planner"] = "prm" if name == "prm" else "lazysp"
+        if name == "dear":
+            changed["settings"] |= {"check_cost": 20.0, "weights": "runs/my/weights.safetensors"}
         changed["summary"]["hard"]["cost"] = None  # nothing solved
         (tmp_path / f"{name}.json").write_text(json.dumps(changed))
     pictures = {"figure": tmp_path / "summary.svg"}
-    others = ("other", "b/other", "prm")
+    others = ("other", "b/other", "prm", "dear")
     pictures["beside"] = tuple(tmp_path / f"{name}.json" for name in others)
     found = evaluate(config(tiny_path, problems, tmp_path / "one.json", **pictures))
     assert found["problems"] == results["problems"]  # nothing was planned again
@@ -214,7 +216,8 @@ def test_a_picture_shows_results_beside_those_of_others(tiny_path, problems, res
     solved = f"{100 * results['summary']['all']['success']:.1f}"
     of_one_name = f"{tmp_path.name}/other", "b/other"
     titles = [f"lazysp, 40 nodes ({name})" for name in ("one", *of_one_name)]
-    for title in (*titles, "prm, 40 nodes"):
+    dear = "lazysp, 40 nodes, weights my/weights.safetensors, checks of 20 us"
+    for title in (*titles, "prm, 40 nodes", dear):
         assert words.count(f"<!-- {title} -->") == 2  # for each row of panels
     assert words.count(f"<!-- {solved} -->") >= 3
     assert "<!-- total time [ms] -->" in words
@@ -249,7 +252,9 @@ def test_a_picture_that_cannot_be_is_refused_before_planning(
     of_others, cut = json.loads(json.dumps(results)), json.loads(json.dumps(results))
     of_others["settings"]["time_limit"] = 1.0
     cut["complete"] = False
-    for name, held in (("others", of_others), ("cut", cut)):
+    of_arm = json.loads(json.dumps(results))
+    of_arm["settings"]["hold"] = [["c", 0.1]]
+    for name, held in (("others", of_others), ("cut", cut), ("held", of_arm)):
         (tmp_path / f"{name}.json").write_text(json.dumps(held))
     figure, out = tmp_path / "summary.png", tmp_path / "out.json"
     others = tmp_path / "others.json", tmp_path / "cut.json"
@@ -258,6 +263,10 @@ def test_a_picture_that_cannot_be_is_refused_before_planning(
         ({"beside": others}, "--beside names results for a picture; give --figure, too"),
         ({"figure": figure, "beside": others[:1]}, r"'others' of .* has time_limit 1.0, not 5.0"),
         ({"figure": figure, "beside": others[1:]}, "cut.json' holds results that were cut off"),
+        (
+            {"figure": figure, "beside": (tmp_path / "held.json",)},
+            "'held' of .* has hold .*'c', 0.1",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             evaluate(config(tiny_path, problems, out, **pictures))

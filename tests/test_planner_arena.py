@@ -100,6 +100,9 @@ def test_planners_of_one_title_are_told_apart_but_for_their_seeds(tmp_path):
     held = json.loads(files[-1].read_text())
     held["settings"]["attach"] = "held.json"
     files[-1].write_text(json.dumps(held))
+    files.append(write(tmp_path / "open.json"))
+    held["settings"] |= {"attach": None, "hold": [["finger", 0.04]]}
+    files[-1].write_text(json.dumps(held))
 
     def rows(files, query):
         out = planner_arena(ArenaConfig(results=tuple(files), out=tmp_path / "arena.db"))
@@ -108,13 +111,13 @@ def test_planners_of_one_title_are_told_apart_but_for_their_seeds(tmp_path):
 
     names = "SELECT name FROM plannerConfigs"
     assert rows([files[0], files[2]], names) == ["guided, 200 nodes"] * 2
-    titles = [f"guided, 200 nodes ({name})" for name in ("a", "dear", "b")]
+    titles = ["guided, 200 nodes", "guided, 200 nodes, checks of 1000 us", "guided, 200 nodes"]
     assert rows(files[:3], names) == titles
     (tmp_path / "one").mkdir()
-    alike = [files[0], write(tmp_path / "one" / "a.json", **dear)]
+    alike = [files[0], write(tmp_path / "one" / "a.json", settings={"batch_size": 4})]
     titles = [f"guided, 200 nodes ({name})" for name in (f"{tmp_path.name}/a", "one/a")]
     assert rows(alike, names) == titles
-    assert rows(files, "SELECT id FROM experiments") == [1, 2]
+    assert rows(files, "SELECT id FROM experiments") == [1, 2, 3]
 
 
 def test_results_are_not_written_over(tmp_path):

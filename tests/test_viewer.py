@@ -336,8 +336,10 @@ def test_what_is_saved_is_read_again_and_planned_the_same(tiny, planner, tmp_pat
     plan = session.answer.plan
     assert plan.success
     (tmp_path / "scene.json").write_text(scene_text(session.query.scene))
-    words = shlex.split(query_text(session, options, robot="tiny.xml", attach=None))
+    chosen = {"joints": ("a", "b"), "hold": (("c", -0.5), ("d", 0.1)), "attach": None}
+    words = shlex.split(query_text(session, options, robot="tiny.xml", **chosen))
     config = tyro.cli(PlanConfig, args=words)
+    assert (config.joints, config.hold) == (chosen["joints"], chosen["hold"])
     assert (config.scene, config.robot) == (Path("scene.json"), "tiny.xml")
     assert (config.max_roadmaps, config.velocity) == (1, (1.5,))
     assert config.trajectory == Path("motion.npz")  # without which the command takes no limits

@@ -1,5 +1,8 @@
 """A summary of results as a table on the terminal."""
 
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich import box
@@ -7,12 +10,26 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from gnnjax.planning.options import PlannerOptions
+
 # What a summary's title says of options that are not at their defaults.
 _VARIANTS = {
     "simplify": (True, "simplified"),
     "shorten": (False, "not shortened"),
     "sampled": (True, "on sampled roadmaps"),
 }
+# What it says of others, where these differ between results beside each other.
+_VALUES: dict[str, Callable[[Any], str]] = {
+    "weights": lambda value: f"weights {Path(*Path(value).parts[-2:])}",
+    "effort": lambda value: f"effort {value}",
+    "max_roadmaps": lambda value: f"{value} roadmaps at most",
+    "checker": lambda value: f"checker {value}",
+    "resolution": lambda value: f"resolution {value:g}",
+    "margin": lambda value: f"margin {1e3 * value:g} mm",
+    "check_cost": lambda value: f"checks of {value:g} us",
+    "rest_share": lambda value: f"at rest within {value:g}",
+}
+_DEFAULTS = {field.name: field.default for field in dataclasses.fields(PlannerOptions)}
 _WITH_UNITS = (("cost", "[rad]"), ("planning", "[ms]"), ("total", "[ms]"))
 
 
@@ -25,6 +42,18 @@ def title_of(settings: dict[str, Any]) -> str:
         if settings[name] == value:
             title += f", {words}"
     return title + "".join(f", own {part}" for part in settings.get("own", []))
+
+
+def titles_of(all_settings: Sequence[dict[str, Any]]) -> list[str]:
+    """How planners with some settings are called beside each other."""
+    titles = [title_of(settings) for settings in all_settings]
+    for name, told in _VALUES.items():
+        default = _DEFAULTS.get(name)
+        values = [settings.get(name, default) for settings in all_settings]
+        if any(value != values[0] for value in values):
+            named = zip(titles, values, strict=True)
+            titles = [x if value == default else f"{x}, {told(value)}" for x, value in named]
+    return titles
 
 
 def print_summary(results: dict[str, Any]) -> None:
