@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, name_options
 
 _Config = TypeVar("_Config")
 _COLOR = re.compile(r"\x1b\[[0-9;]*m")
@@ -42,6 +42,7 @@ def parse_arguments(config: type[_Config], **how: Any) -> _Config:
         SystemExit: `--help`, once it is printed.
     """
     _fill_help(config)
+    name_options(field.name for field in dataclasses.fields(config))
     prog, said = how.pop("prog", None) or _command(), io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

@@ -6,10 +6,11 @@ import difflib
 import errno
 import numbers
 import os
+import re
 import reprlib
 import select
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NoReturn, TextIO
 
 import jax
@@ -100,6 +101,33 @@ def is_out_of_memory(error: Exception) -> bool:
     return isinstance(error, MemoryError)
 
 
+_OPTIONS: set[str] = set()  # of the command that runs, as its configuration calls them
+# What messages say to give to a function of the package; calls are named as they are.
+_ARGUMENT = re.compile(r"(?<![\w(])([a-z_]+)=(\[.*?\]|\{.*?\}|[\w.+-]+)")
+
+
+def name_options(names: Iterable[str]) -> None:
+    """Says which arguments that messages name are options of the command that runs."""
+    _OPTIONS.clear()
+    _OPTIONS.update(names)
+
+
+def _for_the_shell(said: str) -> str:
+    """A message whose remedies are the options of the command, which has them as arguments of
+    functions: `hold={'a': 1}` is `--hold a 1` there."""
+
+    def option(found: re.Match) -> str:
+        name, value = found.groups()
+        if name not in _OPTIONS:
+            return found[0]
+        flag = name.replace("_", "-")
+        if value in ("True", "False"):
+            return f"--{flag}" if value == "True" else f"--no-{flag}"
+        return " ".join([f"--{flag}", *re.sub(r"[][(){}'\",:]", " ", value).split()])
+
+    return _ARGUMENT.sub(option, said)
+
+
 def run_command(
     main: Callable[[], int | None], again: str = "start the same command again"
 ) -> NoReturn:
@@ -137,7 +165,7 @@ def _status(main: Callable[[], int | None], again: str) -> Any:
                 stream.flush()
         return status
     except InputError as error:
-        said = str(error)
+        said = _for_the_shell(str(error))
     except OSError as error:  # disk full, permission denied, a folder that is missing
         if isinstance(error, BrokenPipeError) and (
             _is_unread(sys.stdout) or _is_unread(sys.stderr)

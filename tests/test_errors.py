@@ -12,7 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gnnjax.errors import InputError, as_typed, brief, check_number, check_seed, run_command
+from gnnjax.errors import (
+    InputError,
+    as_typed,
+    brief,
+    check_number,
+    check_seed,
+    name_options,
+    run_command,
+)
 from gnnjax.planning.options import PlannerOptions, check_options
 from gnnjax.scene.cloud import point_cloud
 from gnnjax.scene.surfaces import mesh
@@ -54,6 +62,36 @@ def test_numbers_of_all_libraries_are_numbers():
     for value in ("1", None, [1.0], np.array([1.0]), np.array("1"), 1j):
         with pytest.raises(InputError, match=r"^it is .*; give a number$"):
             check_number(value, "it")
+
+
+@pytest.mark.parametrize(
+    ("said", "typed"),
+    [
+        ("give acceleration=... (rad/s^2), or", "give --acceleration ... (rad/s^2), or"),
+        ("give torque=8.0", "give --torque 8.0"),
+        ("is coupled; hold={'a_1': ...}, else", "is coupled; --hold a_1 ..., else"),
+        ("give allow=[(body, body)], or", "give --allow body body, or"),
+        ("allow=[('a', 'b')]; there", "--allow a b; there"),
+        ("(those to plan for: joints=[...])", "(those to plan for: --joints ...)"),
+        ("rest_share=0.8 and shorten=False", "--rest-share 0.8 and --no-shorten"),
+        ("shorten=True", "--shorten"),
+        # No options of this command, or no arguments.
+        ('contype="1" radius=2, f(torque=...)', 'contype="1" radius=2, f(torque=...)'),
+    ],
+)
+def test_a_command_names_its_options_where_functions_have_arguments(capsys, said, typed):
+    def main():
+        raise InputError(said)
+
+    # Last, as it is elsewhere: without options.
+    for names, words in (
+        ("acceleration torque hold allow joints rest_share shorten", typed),
+        ("", said),
+    ):
+        name_options(names.split())
+        with pytest.raises(SystemExit):
+            run_command(main)
+        assert capsys.readouterr().err == f"error: {words}\n"
 
 
 @pytest.mark.parametrize("seed", [-1, 2**31, 2**70])

@@ -30,7 +30,7 @@ from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
-from gnnjax.arm.shipped import assets_dir, find_model
+from gnnjax.arm.shipped import assets_dir, find_model, in_kind
 from gnnjax.arm.sources import Written, written
 from gnnjax.errors import InputError, brief
 
@@ -227,10 +227,8 @@ def _robot_of(
 
     geom_ids = collision_geoms(model)
     if not len(geom_ids):
-        raise InputError(
-            f"{str(path)!r} has no collision geometry; give the robot's geoms "
-            'contype="1" conaffinity="1" (a URDF: its links <collision>)'
-        )
+        how = in_kind(path, mjcf='geoms contype="1" conaffinity="1"', urdf="links <collision>")
+        raise InputError(f"{str(path)!r} has no collision geometry; give the robot's {how}")
     parts = tuple(part_of_geom(model, g, path) for g in geom_ids.tolist())
 
     lower, upper = (model.jnt_range[:, side].astype(np.float32) for side in (0, 1))
@@ -247,7 +245,9 @@ def _robot_of(
     tested = self_pairs(model, geom_ids)
     names = [body.name for body in bodies]
     pairs, may = without_bodies(tested, parts, names, allow, path)
-    remedy = "give allow=[(body, body)], or exclude them in the MJCF (<contact><exclude .../>)"
+    remedy = "give allow=[(body, body)]" + in_kind(
+        path, mjcf=", or exclude them in the MJCF (<contact><exclude .../>)", urdf=""
+    )
     touching = always_touching(model, geom_ids, pairs, reading.home, parts, repr(path.name), remedy)
     free = touching | bearings(model, geom_ids, pairs, parts)
     pairs = np.array([two for two in pairs.tolist() if tuple(two) not in free], np.int64)

@@ -11,6 +11,11 @@ def assets_dir() -> Path:
     return inside if inside.is_dir() else Path(__file__).parents[2] / "assets"
 
 
+def in_kind(path: Path, *, mjcf: str, urdf: str) -> str:
+    """Words for messages about an arm's file, of its kind."""
+    return urdf if path.suffix == ".urdf" else mjcf
+
+
 def find_model(robot: Path) -> Path:
     """The MJCF or URDF of an arm: that of a shipped one's name, or the file that is named.
 
@@ -20,7 +25,7 @@ def find_model(robot: Path) -> Path:
     if robot.suffix in (".xml", ".urdf"):
         if robot.is_file():
             return robot
-        kind = "URDF" if robot.suffix == ".urdf" else "MJCF"
+        kind = in_kind(robot, mjcf="MJCF", urdf="URDF")
         raise InputError(f"no {kind} file at {str(robot)!r}; check the path")
     known = sorted(
         file.stem

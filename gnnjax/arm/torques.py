@@ -34,6 +34,7 @@ from gnnjax.arm.kinematics import (
 )
 from gnnjax.arm.reading import motor_limits
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.shipped import in_kind
 from gnnjax.errors import InputError, brief, check_number
 
 Amounts: TypeAlias = float | int | Sequence | np.ndarray  # one for all joints, or one each
@@ -74,10 +75,14 @@ def at_rest_within(robot: Robot, share: float, torque: Amounts | None = None) ->
     limit = robot.torque_limit if torque is None else positive_amounts(robot, "torque", torque)
     if limit is None:
         without = int((~np.isfinite(motor_limits(robot.mj_model))).argmax())
+        where = in_kind(
+            robot.path,
+            mjcf='actuatorfrcrange="-T T" into its MJCF',
+            urdf='<limit effort="T"/> into its URDF',
+        )
         raise InputError(
             f"joint {robot.joint_names[without]} of {robot.name} has no torque limit to take a "
-            "share of; give torque=... (N m, one for all joints or one each), or put "
-            'actuatorfrcrange="-T T" into its MJCF (a URDF: <limit effort="T"/>)'
+            f"share of; give torque=... (N m, one for all joints or one each), or put {where}"
         )
     return _resting(robot, tuple((share * np.asarray(limit, float)).tolist()))
 

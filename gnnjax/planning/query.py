@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnnjax.arm.meetings import remedy_of
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import rest_fault, rests
 from gnnjax.collision.certify import check_scene
@@ -238,7 +239,7 @@ def _end_reasons(
         if contact:
             reasons[i] = (
                 f"{name} {rounded} is in collision: {contact.first} and {contact.second} overlap "
-                f"by {1e3 * contact.depth:.1f} mm; choose a free configuration"
+                f"by {1e3 * contact.depth:.1f} mm{remedy_of(robot, contact.first, contact.second)}"
             )
         elif margin:
             reasons[i] = (

@@ -233,7 +233,7 @@ def _note_others(robot: Robot, start: dict[str, float], planned: set[str]) -> No
             continue
         where = "does not have as a joint"
         if held is not None:
-            where = f"holds at {held:g}; load_robot(hold=...) can have it there, too"
+            where = f"holds at {held:g}; load_robot(hold=...), or --hold, can have it there, too"
         _note(f"requests have {name} at {value:g}, which {robot.name} {where}")
 
 

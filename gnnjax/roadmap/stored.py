@@ -67,7 +67,7 @@ def stored_roadmap(robot: Robot, num_nodes: int, seed: int) -> Roadmap:
         )
     raise InputError(
         f"{robot.name} is in self-collision at nearly every configuration; check the geoms that "
-        "collide and the pairs that its MJCF excludes"
+        "collide, and allow=[(body, body)] those that may touch"
     )
 
 

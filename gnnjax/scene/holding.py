@@ -121,8 +121,8 @@ def _attached(robot: Robot, load: Load) -> Robot:
         link = min(touching)[0]
         named = model.body(parts[link].body + 1).name
         raise InputError(
-            f"what {body} holds touches {parts[link].name} in every configuration; if it may, give "
-            f"allow=[{named!r}]"
+            f"what {body} holds touches {parts[link].name} in every configuration; if it may, let "
+            f"allow name {named!r}"
         )
     pairs = np.concatenate([robot.part_pairs, wanted])
     if exclude_bodies(spec, parts, self_pairs(model, geoms), pairs):

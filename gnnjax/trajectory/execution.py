@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.shipped import in_kind
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.margins import largest_margin
@@ -156,9 +157,14 @@ def _torque_limit(robot: Robot, torque: Amounts | None) -> np.ndarray:
     limit = limits_of(robot, velocity=1.0, acceleration=1.0, torque=torque).torque
     if limit is None or (limit >= ANY_TORQUE).any():
         joint = "" if limit is None else f" for joint {robot.joint_names[int(limit.argmax())]}"
+        where = in_kind(
+            robot.path,
+            mjcf='forcerange="..." into its actuators',
+            urdf='<limit effort="..."/> into its URDF',
+        )
         raise InputError(
             f"the model of {robot.name} has no torque limits{joint}, without which its motors "
-            'cannot be simulated; give torque=... (N m), or put forcerange="..." into its actuators'
+            f"cannot be simulated; give torque=... (N m), or put {where}"
         )
     return limit
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from gnnjax.arm.reading import motor_limits
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.shipped import in_kind
 from gnnjax.arm.torques import Amounts, positive_amounts
 from gnnjax.errors import InputError
 
@@ -51,9 +52,14 @@ def limits_of(
         own = _own(robot, name)
         found[name] = positive_amounts(robot, name, values) if values is not None else own
         if found[name] is None and name in _REMEDIES:
+            where = in_kind(
+                robot.path,
+                mjcf=f'<numeric name="{name}_limit"> into its MJCF',
+                urdf=f'{name}="..." into each <limit> of its URDF',
+            )
             raise InputError(
                 f"the model of {robot.name} has no {name} limits; give {name}=... "
-                f'({_REMEDIES[name]}), or put <numeric name="{name}_limit"> into its MJCF'
+                f"({_REMEDIES[name]}), or put {where}"
             )
     return Limits(*(None if x is None else np.asarray(x, float) for x in found.values()))
 
