@@ -1,8 +1,15 @@
-"""Whether files of meshes are whole. Of text that ends too early, readers take what there is."""
+"""What readers of meshes leave to others: whether files are whole, and in which unit.
+
+Of text that ends too early, readers take what there is.
+"""
 
 import contextlib
+import math
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
+
+from gnnjax.errors import InputError, brief
 
 # Whole last lines of an OBJ, of those that have numbers; a corner is 7, 7/7, 7//7 or 7/7/7.
 _CORNER = rb"\s+-?\d+(/-?\d+|/-?\d*/-?\d+)?"
@@ -49,3 +56,19 @@ def counts_back(file: Path) -> bool:
     """Whether an OBJ names corners of faces as so many before, which trimesh takes for so many
     before the last one of the file, or by 0, which there is not."""
     return file.suffix.lower() == ".obj" and bool(_RELATIVE.search(file.read_bytes()))
+
+
+def unit_of(file: Path) -> float:
+    """Metres of the unit that a COLLADA file names, which trimesh leaves as it is; 1 of others.
+
+    Raises:
+        InputError: it is no length.
+    """
+    if file.suffix.lower() != ".dae":
+        return 1.0
+    unit = ET.parse(file).getroot().find("{*}asset/{*}unit")
+    named = "1" if unit is None else unit.get("meter", "1")
+    with contextlib.suppress(ValueError):
+        if 0 < float(named) < math.inf:
+            return float(named)
+    raise InputError(f"mesh {str(file)!r} is in units of {brief(named)} m; give a length")

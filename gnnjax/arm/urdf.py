@@ -15,7 +15,7 @@ from xml.parsers import expat
 import mujoco
 import numpy as np
 
-from gnnjax.arm.mesh_files import ends_early
+from gnnjax.arm.mesh_files import ends_early, unit_of
 from gnnjax.errors import InputError
 
 _MOST_FACES = 200_000  # of MuJoCo's STL reader
@@ -229,13 +229,7 @@ def _by_trimesh(file: Path) -> np.ndarray:
         mesh = trimesh.load(str(file), force="mesh", process=False)
     except Exception as error:  # each of its readers raises its own
         raise InputError(f"mesh {str(file)!r} cannot be read: {error}; make it an STL") from None
-    scale = 1.0
-    if (
-        file.suffix.lower() == ".dae"
-    ):  # in a unit that the file names, which trimesh leaves as it is
-        unit = ET.parse(file).getroot().find("{*}asset/{*}unit")
-        scale = float(unit.get("meter", "1")) if unit is not None else 1.0
-    return np.asarray(mesh.vertices, float) * scale
+    return np.asarray(mesh.vertices, float) * unit_of(file)
 
 
 def _hull_stl(points: np.ndarray, file: Path) -> bytes:

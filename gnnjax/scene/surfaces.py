@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from gnnjax.arm.mesh_files import unit_of
 from gnnjax.errors import InputError, check_number
 from gnnjax.scene.cloud import MOST_METERS, RADIUS, Balls, point_cloud
 from gnnjax.scene.cloud import VOXEL as CLOUD_VOXEL
@@ -37,7 +38,8 @@ def mesh(
             but for an OBJ between two lines, which is a whole one with fewer faces.
         center: where the mesh's origin is in the frame of the arm's base, m.
         quat: its orientation w x y z.
-        scale: metres of the file's unit; 0.001 for millimetres.
+        scale: metres of the file's unit; 0.001 for millimetres. A COLLADA file names its own, which
+            is made metres of; this is beside it.
         voxel: edge of those that each have one ball, m.
         solid: whether the mesh must be closed, or is its surface in any case; None takes it as it
             is.
@@ -53,7 +55,9 @@ def mesh(
     loaded = by_trimesh(Path(file), called, "mesh")
     vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
     rotation = rotation_of(quat, called)
-    placed = scale * vertices @ rotation.T + vector_of(center, f"center of {called}")
+    placed = scale * unit_of(Path(file)) * vertices @ rotation.T + vector_of(
+        center, f"center of {called}"
+    )
     return enclosed(placed, faces, voxel, solid, source=called)
 
 
