@@ -15,6 +15,7 @@ from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.scene.mujoco_world import deepest_contact
 from gnnjax.scene.scene import make_scene
+from gnnjax.trajectory.limits import limits_of
 
 ARM = """<?xml version="1.0"?>
 <robot name="arm">
@@ -274,6 +275,16 @@ def test_a_mesh_that_is_not_closed_collides_as_its_hull(tmp_path):
     robot = load_robot(package(tmp_path, stl(triangles(CORNERS)[:-2])))
     (part,) = (part for part in robot.parts if robot.bodies[part.body].name == "upper")
     assert len(part.vertices) == 8
+
+
+def test_remedies_are_those_of_a_urdf(tmp_path):
+    robot = load_robot(package(tmp_path))
+    with pytest.raises(InputError, match=r'put acceleration="..." into each <limit> of its URDF$'):
+        limits_of(robot)
+    text = ARM.replace('effort="40"', "").replace("collision>", "visual>")
+    robot = load_robot(package(tmp_path, text=text.replace("package://nowhere/base.dae", "MESH")))
+    with pytest.raises(InputError, match=r'or put <limit effort="T"/> into its URDF$'):
+        robot.at_rest_within(0.5)
 
 
 def test_other_formats_need_trimesh_and_that_is_said(tmp_path, monkeypatch):
