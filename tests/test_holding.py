@@ -255,7 +255,7 @@ def test_an_arm_that_holds_two_things_is_no_other_arm(tiny, holding, tmp_path):
         ({"shapes": [sphere([0, 0, 0], -1.0)]}, "sphere 0 of what lower holds has radius"),
         (
             {"shapes": [sphere([0, 0, 0], 5.0)]},
-            "what lower holds touches .* in every configuration; if it may, give allow=",
+            "what lower holds touches .* in every configuration; if it may, let allow name",
         ),
         ({"pose": Pose(np.zeros(3), np.zeros(4))}, "pose is Pose.* give a position"),
         ({"pose": (np.zeros(3), "up")}, "pose is .* give a position and a quaternion"),
