@@ -71,11 +71,11 @@ def at_rest_within(robot: Robot, share: float, torque: Amounts | None = None) ->
         raise InputError(
             f"the share of torques at rest is {brief(share)}; give one above 0, up to 1"
         )
-    limit = robot.torque_limit if torque is None else positive_amounts(robot, "torque", torque)
-    if limit is None:
-        without = int((~np.isfinite(motor_limits(robot.mj_model))).argmax())
+    limit = own_torques(robot) if torque is None else positive_amounts(robot, "torque", torque)
+    if not np.isfinite(limit).all():
+        without = robot.joint_names[int(np.isfinite(limit).argmin())]
         raise InputError(
-            f"joint {robot.joint_names[without]} of {robot.name} has no torque limit to take a "
+            f"joint {without} of {robot.name} has no torque limit to take a "
             "share of; give torque=... (N m, one for all joints or one each), or put "
             'actuatorfrcrange="-T T" into its MJCF (a URDF: <limit effort="T"/>)'
         )
@@ -97,6 +97,22 @@ def _resting(robot: Robot, limit: tuple[float, ...]) -> Robot:
             "than gravity and linear springs (tendons, equalities); take them out of the model"
         )
     return dataclasses.replace(robot, rest_limit=np.array(limit))
+
+
+def own_torques(robot: Robot) -> np.ndarray:
+    """Limits `[D]` of torques by the model, N m or N, infinite of joints without.
+
+    Raises:
+        InputError: a joint that motors push one way only.
+    """
+    limits = motor_limits(robot.mj_model)
+    if not limits.all():
+        raise InputError(
+            f"the motors of joint {robot.joint_names[int(limits.argmin())]} of {robot.name} push "
+            "one way only, by a forcerange, ctrlrange or actuatorfrcrange without both signs; give "
+            "torque=... (N m, one for all joints or one each), or mend the range"
+        )
+    return limits
 
 
 def positive_amounts(robot: Robot, name: str, values: Amounts) -> np.ndarray:
