@@ -12,8 +12,9 @@ from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import check_apart
+from gnnjax.problems.moveit import surroundings_from_moveit
 from gnnjax.query_options import read_request
-from gnnjax.scene.any_file import read_scene
+from gnnjax.scene.any_file import is_moveit, read_scene
 from gnnjax.scene.holding import load_arm
 from gnnjax.trajectory.execution import (
     Execution,
@@ -78,6 +79,8 @@ def main(config: ExecuteConfig) -> int:
     scene = None
     if config.request is not None:
         robot, (_, _, scene) = read_request(config.scene, config.request, robot)
+    elif is_moveit(config.scene):
+        robot, scene = surroundings_from_moveit(config.scene, robot)
     given = robot
     robot = robot_of_trajectory(given, config.trajectory)
     for note in robot.notes[len(given.notes) :]:
