@@ -27,7 +27,7 @@ from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_comman
 from gnnjax.files import check_apart, check_target, locked
 from gnnjax.measure.batches import Batches
 from gnnjax.measure.machine import describe_machine, ompl_version
-from gnnjax.measure.own_planner import own_settings, weights_sha256
+from gnnjax.measure.own_planner import checksums_of, own_settings
 from gnnjax.measure.result_files import (
     FORMAT,
     RowFiles,
@@ -49,7 +49,7 @@ from gnnjax.scene.holding import load_arm
 
 _LOG = logging.getLogger(__name__)
 _WRITE_EVERY_S = 1.0
-_CHECKSUM, _WEIGHTS = "problems_sha256", "weights_sha256"
+_CHECKSUM = "problems_sha256"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -122,7 +122,7 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     for name in ("json", "cluster", "keep_parts", "figure", "beside"):  # change no row
         del settings[name]
-    checksums = {_CHECKSUM: problems.sha256(), _WEIGHTS: weights_sha256(planner)}
+    checksums = {_CHECKSUM: problems.sha256()} | checksums_of(planner)
     settings |= {"num_problems": num, "radius": planner.radius} | checksums | own
     draw = _drawing(config, settings)
     results = {
@@ -284,7 +284,7 @@ def _earlier(path: Path, settings: dict[str, Any], first: int = 0) -> list[dict]
     fields = dataclasses.fields(EvaluateConfig)
     defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
     # Files from before there were checksums leave them open.
-    defaults |= {name: settings[name] for name in (_CHECKSUM, _WEIGHTS)}
+    defaults |= {name: value for name, value in settings.items() if name.endswith("_sha256")}
     return read_rows(path, {"own": None} | settings, defaults, first)
 
 

@@ -72,7 +72,7 @@ def _names(all_settings: list[dict[str, Any]], files: list[str]) -> list[str]:
     titles = [title_of(settings) for settings in all_settings]
     apart = {
         *("problems", "problems_sha256", "num_problems", "robot", "attach", "rest_share"),
-        *("seed", "time_limit", "radius"),
+        *("seed", "time_limit", "radius", "robot_sha256"),
     }
     own = [{k: v for k, v in settings.items() if k not in apart} for settings in all_settings]
     alike = [
@@ -97,7 +97,8 @@ def _write(file: Path, all_results: list[dict[str, Any]], names: list[str]) -> N
             # Versions of what plans may differ: OMPL's planners are compared with ours.
             key = (
                 *(name, settings["num_problems"], settings["time_limit"]),
-                *(str(settings.get(x)) for x in ("problems_sha256", "attach", "rest_share")),
+                *(str(settings.get(x)) for x in ("problems_sha256", "robot_sha256")),
+                *(str(settings.get(x)) for x in ("attach", "rest_share")),
                 *(machine.get(part) for part in ("processor", "cores", "device", "gnnjax")),
             )
             if key not in experiments:

@@ -48,7 +48,9 @@ def test_rows_of_planners_that_callers_make_pass_for_no_others(
         evaluate(case)
 
 
-def test_rows_of_other_weights_are_not_gone_on_with(tiny_path, problems, tmp_path, planner_once):
+def test_rows_of_other_weights_or_of_an_edited_arm_are_not_gone_on_with(
+    tiny_path, problems, tmp_path, planner_once
+):
     case = config(tiny_path, problems, tmp_path / "some.json", planner="guided")
     planner = copy.copy(planner_once(load_robot(tiny_path), case))
     evaluate(case, planner)
@@ -57,6 +59,12 @@ def test_rows_of_other_weights_are_not_gone_on_with(tiny_path, problems, tmp_pat
     fault = r"holds results with weights_sha256 '[\w.]+', not '[\w.]+'; choose another --json"
     with pytest.raises(InputError, match=fault):
         evaluate(case, planner)
+    arm = tmp_path / "tiny.xml"
+    arm.write_text(tiny_path.read_text().replace('size="0.07"', 'size="0.06"'))
+    edited = json.loads(json.dumps(again).replace(str(tiny_path), str(arm)))
+    case.json.write_text(json.dumps(edited))
+    with pytest.raises(InputError, match="holds results with robot_sha256 "):
+        evaluate(dataclasses.replace(case, robot=str(arm)))
     del again["settings"]["weights_sha256"]  # as of files from before there was one
     case.json.write_text(json.dumps(again))
     assert evaluate(case, planner)["problems"] == again["problems"]

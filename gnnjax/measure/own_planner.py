@@ -1,4 +1,4 @@
-"""What planners are beside their options: their weights, and what a caller put into them."""
+"""What planners are beside their options: their arm, weights, and what a caller put into them."""
 
 import dataclasses
 import hashlib
@@ -9,14 +9,21 @@ from typing import Any
 import jax
 import numpy as np
 
+from gnnjax.arm.sources import sources_sha256
 from gnnjax.errors import InputError, brief
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
 from gnnjax.planning.query import QueryPlanner
 
 
-def weights_sha256(planner: QueryPlanner) -> str | None:
-    """Checksum of a planner's weights, wherever they came from; None of one without."""
+def checksums_of(planner: QueryPlanner) -> dict[str, str | None]:
+    """Checksums of the files of a planner's arm, and of its weights, wherever they came from; None
+    of one without."""
+    arm = sources_sha256(planner.robot.path)
+    return {"robot_sha256": arm, "weights_sha256": _of_weights(planner)}
+
+
+def _of_weights(planner: QueryPlanner) -> str | None:
     if not isinstance(planner, Planner) or planner.strategy.weights is None:
         return None
     leaves = [np.asarray(x) for x in jax.tree.leaves(planner.strategy.weights)]
