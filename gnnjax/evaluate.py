@@ -28,7 +28,7 @@ from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_comman
 from gnnjax.files import check_apart, check_target, locked
 from gnnjax.measure.batches import Batches
 from gnnjax.measure.machine import describe_machine, ompl_version
-from gnnjax.measure.own_planner import own_settings
+from gnnjax.measure.own_planner import checksums_of, own_settings
 from gnnjax.measure.result_files import (
     FORMAT,
     RowFiles,
@@ -107,14 +107,17 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     check_target(config.json)
     check_apart((config.json, config.figure), (config.problems, config.attach, config.robot))
     place = config.cluster.place()
-    own = own_settings(planner, config, config.json) if planner else {}
+    parts = config.json.with_name(f"{config.json.name}.parts")
+    files = [config.json, parts][: 2 if place.count == 1 else 1]  # another may have made parts
+    own = own_settings(planner, config, files) if planner else {}
     planner = planner or planner_for(config)
     problems = StoredProblems(config.problems, planner.robot)
     num = min(len(problems), config.num_problems or len(problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
     for name in ("json", "cluster", "keep_parts", "figure", "beside"):  # change no row
         del settings[name]
-    settings |= {"num_problems": num, "radius": planner.radius, _CHECKSUM: problems.sha256()} | own
+    checksums = {_CHECKSUM: problems.sha256()} | checksums_of(planner)
+    settings |= {"num_problems": num, "radius": planner.radius} | checksums | own
     draw = _drawing(config, settings)
     results = {
         "format": FORMAT,
@@ -124,7 +127,6 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
         "summary": {},
         "problems": [],
     }
-    parts = config.json.with_name(f"{config.json.name}.parts")
     with contextlib.ExitStack() as held:
         others = held.enter_context(config.cluster.roll_call(config.json))
         if place.index == 0:
@@ -167,7 +169,7 @@ def _check_processes(config: EvaluateConfig) -> None:
 
 
 # What results share that a picture compares.
-_OF_ARM = ("robot", "joints", "hold", "allow", "attach")
+_OF_ARM = ("robot", "joints", "hold", "allow", "attach", "rest_share")
 _SAME = ("problems", _CHECKSUM, "num_problems", *_OF_ARM, "time_limit")
 
 
@@ -276,7 +278,8 @@ def _evaluate_parts(
 def _earlier(path: Path, settings: dict[str, Any], first: int = 0) -> list[dict]:
     fields = dataclasses.fields(EvaluateConfig)
     defaults = {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
-    defaults[_CHECKSUM] = settings[_CHECKSUM]  # which files from before it leave open
+    # Files from before there were checksums leave them open.
+    defaults |= {name: value for name, value in settings.items() if name.endswith("_sha256")}
     return read_rows(path, {"own": None} | settings, defaults, first)
 
 

@@ -13,8 +13,9 @@ from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.arm_options import ArmOptions, load_bare_arm
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import check_apart
+from gnnjax.problems.moveit import surroundings_from_moveit
 from gnnjax.query_options import read_request
-from gnnjax.scene.any_file import read_scene
+from gnnjax.scene.any_file import is_moveit, read_scene
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.trajectory.execution import (
     Execution,
@@ -79,6 +80,8 @@ def main(config: ExecuteConfig) -> int:
     scene = None
     if config.request is not None:
         robot, (_, _, scene) = read_request(config.scene, config.request, robot)
+    elif is_moveit(config.scene):
+        robot, scene = surroundings_from_moveit(config.scene, robot)
     given = robot
     robot = robot_of_trajectory(given, config.trajectory)
     for note in robot.notes[len(given.notes) :]:

@@ -20,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.sources import sources_sha256
 from gnnjax.arm_options import HoldingOptions, load_arm
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.collision.checker import Backend
@@ -102,6 +103,7 @@ def generate(config: GenerateConfig) -> Path:
         "num_nodes": nodes,
         "shard_size": config.shard_size,
         "checker": config.checker,
+        "robot_sha256": sources_sha256(robot.path),
     }
     if config.rest_share is not None:  # which sets from before there was one do not tell
         settings["rest_share"] = config.rest_share

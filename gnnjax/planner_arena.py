@@ -73,7 +73,7 @@ def _names(all_settings: list[dict[str, Any]], files: list[str]) -> list[str]:
     titles = titles_of(all_settings)
     apart = {
         *("problems", "problems_sha256", "num_problems", "robot", *_OF_ARM),
-        *("seed", "time_limit", "radius"),
+        *("seed", "time_limit", "radius", "robot_sha256"),
     }
     own = [{k: v for k, v in settings.items() if k not in apart} for settings in all_settings]
     alike = [
@@ -98,7 +98,10 @@ def _write(file: Path, all_results: list[dict[str, Any]], names: list[str]) -> N
             # Versions of what plans may differ: OMPL's planners are compared with ours.
             key = (
                 *(name, settings["num_problems"], settings["time_limit"]),
-                *(str(settings.get(x) or None) for x in ("problems_sha256", *_OF_ARM)),
+                *(
+                    str(settings.get(x) or None)
+                    for x in ("problems_sha256", "robot_sha256", *_OF_ARM)
+                ),
                 *(machine.get(part) for part in ("processor", "cores", "device", "gnnjax")),
             )
             if key not in experiments:

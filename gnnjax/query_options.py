@@ -10,9 +10,9 @@ from gnnjax.arm.robot import Robot
 from gnnjax.arm_options import HoldingOptions
 from gnnjax.errors import InputError
 from gnnjax.pose.goal import PoseGoal, check_goal, tool_frame
-from gnnjax.problems.moveit import query_from_moveit
+from gnnjax.problems.moveit import query_from_moveit, surroundings_from_moveit
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.any_file import read_scene
+from gnnjax.scene.any_file import is_moveit, read_scene
 from gnnjax.scene.scene import Scene, make_scene
 
 
@@ -67,8 +67,9 @@ def read_query(
                 "a query needs --start and --goal, or a --request of MoveIt's; --goal-pose may "
                 "take the place of --goal"
             )
-        none = edited and options.scene is None
-        scene = make_scene([], []) if none else read_scene(options.scene, robot)
+        scene = make_scene([], [])
+        if not edited or options.scene is not None:
+            robot, scene = read_surroundings(options.scene, robot)
         start = np.array(given)
         if options.goal_pose is None:
             return robot, start, {"goal": np.array(goal)}, scene
@@ -83,9 +84,17 @@ def read_query(
     return robot, np.asarray(start), {"goal": goal}, scene
 
 
+def read_surroundings(scene: Path, robot: Robot) -> tuple[Robot, Scene]:
+    """The scene of a file, and the arm, which holds what a planning scene of MoveIt has attached to
+    it."""
+    if is_moveit(scene):
+        return surroundings_from_moveit(scene, robot)
+    return robot, read_scene(scene, robot)
+
+
 def read_request(scene: Path | None, request: Path, robot: Robot) -> tuple[Robot, Problem]:
     """`query_from_moveit` of a scene that a command was given."""
-    if scene is None or scene.suffix.lower() not in (".yaml", ".yml"):
+    if scene is None or not is_moveit(scene):
         named = "missing" if scene is None else repr(str(scene))
         raise InputError(f"--request needs a planning scene of MoveIt (.yaml); --scene is {named}")
     return query_from_moveit(scene, request, robot)

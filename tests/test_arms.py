@@ -11,100 +11,7 @@ from gnnjax.arm.shipped import assets_dir
 from gnnjax.errors import InputError
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.own_points import distances_to_hull
-
-GRIPPER = """
-<mujoco>
-  <compiler angle="radian" autolimits="true"/>
-  <default><geom mass="0.1"/></default>
-  <worldbody>
-    <geom name="floor" type="plane" size="1 1 0.1" pos="0 0 -0.3"/>
-    <body name="base"><geom type="cylinder" size="0.08 0.05"/>
-      <body name="arm" pos="0 0 0.1"><joint name="turn" axis="0 0 1"/>
-        <geom type="box" size="0.04 0.04 0.15" pos="0 0 0.15"/>
-        <frame pos="0 0 0.3" euler="0.2 0 0">
-          <body name="hand" euler="0.1 0.2 0.3">
-            <joint name="bend" axis="0 1 0" range="-2 2" actuatorfrcrange="-30 40"/>
-            <joint name="slip" type="slide" axis="0 0.6 0.8" range="-0.1 0.1" pos="0.1 0 0"/>
-            <geom name="palm" type="ellipsoid" size="0.05 0.03 0.02" pos="0 0 0.06"/>
-            <body name="left" pos="0 0.03 0.12">
-              <joint name="left" type="slide" axis="0 1 0" range="0 0.04"/>
-              <geom name="left" type="capsule" size="0.008 0.02"/>
-            </body>
-            <body name="right" pos="0 -0.03 0.12">
-              <joint name="right" type="slide" axis="0 -1 0" range="0 0.04"/>
-              <geom name="right" type="capsule" size="0.008 0.02"/>
-            </body>
-          </body>
-        </frame>
-      </body>
-    </body>
-  </worldbody>
-  COUPLING
-  <actuator><motor joint="turn" gear="10" forcerange="-5 5"/><motor joint="bend"/>
-    <motor joint="slip" forcerange="-7 7"/></actuator>
-  <sensor><jointpos joint="left"/></sensor>
-  <keyframe><key name="home" qpos="0.1 0.5 0.02 0.03 0.03"/></keyframe>
-</mujoco>
-"""
-EQUALITY = (
-    '<equality><joint joint1="right" joint2="left" polycoef="0.005 0.5 0 0 0"/></equality>'
-    '<contact><exclude body1="left" body2="right"/></contact>'
-)
-TENDON = (
-    '<tendon><fixed name="grip"><joint joint="left" coef="1"/><joint joint="right" coef="1"/>'
-    '</fixed></tendon><equality><tendon tendon1="grip"/></equality>'
-)
-LOOP = '<equality><connect body1="left" body2="right" anchor="0 0 0"/></equality>'
-
-
-def written(folder, coupling=EQUALITY, change=lambda text: text):
-    path = folder / "gripper.xml"
-    path.write_text(change(GRIPPER.replace("COUPLING", coupling)))
-    return path
-
-
-def same_poses(robot, held, prefix=""):
-    """Whether geoms are where they are in the whole arm, at random configurations."""
-    whole = mujoco.MjModel.from_xml_path(str(robot.path))
-    there, here = mujoco.MjData(whole), mujoco.MjData(robot.mj_model)
-    rng = np.random.default_rng(0)
-    names = [f"{prefix}{name}" for name in ("palm", "left", "right")]
-    for _ in range(20):
-        q = rng.uniform(robot.joint_lower, robot.joint_upper)
-        for name, value in [*held.items(), *zip(robot.joint_names, q, strict=True)]:
-            there.joint(name).qpos[:] = value
-        here.qpos[:] = q
-        mujoco.mj_kinematics(whole, there)
-        mujoco.mj_kinematics(robot.mj_model, here)
-        for name in names:
-            np.testing.assert_allclose(here.geom(name).xpos, there.geom(name).xpos, atol=1e-9)
-            np.testing.assert_allclose(here.geom(name).xmat, there.geom(name).xmat, atol=1e-9)
-    return True
-
-
-@pytest.mark.parametrize(
-    ("coupling", "right"), [(EQUALITY, 0.005 + 0.5 * 0.03), (TENDON, 0.03), (LOOP, 0.03)]
-)
-def test_fingers_that_are_coupled_are_held_at_home(tmp_path, caplog, coupling, right):
-    robot = load_robot(written(tmp_path, coupling))
-    assert robot.joint_names == ("turn", "bend", "slip")
-    assert robot.held == pytest.approx({"left": 0.03, "right": right})
-    assert "joints that are not planned for are held: left at 0.03, right at" in caplog.text
-    np.testing.assert_allclose(robot.home, [0.1, 0.5, 0.02], atol=1e-7)
-    assert same_poses(robot, robot.held)
-    assert robot.mj_model.neq == (coupling is LOOP)
-
-
-def test_what_is_held_takes_what_follows_it_along(tmp_path):
-    path = written(tmp_path)
-    robot = load_robot(path, joints=["turn", "slip"], hold={"left": 0.01, "bend": -1.0})
-    assert robot.held == pytest.approx({"bend": -1.0, "left": 0.01, "right": 0.01})
-    assert robot.joint_names == ("turn", "slip")
-    assert same_poses(robot, robot.held)
-    # Another one before the one that is held, in the same body.
-    robot = load_robot(path, joints=["turn", "bend"], hold={"slip": 0.05, "right": 0.04})
-    assert robot.held == pytest.approx({"slip": 0.05, "left": 0.03, "right": 0.04})
-    assert same_poses(robot, robot.held)
+from tests.gripper import EQUALITY, same_poses, written
 
 
 def test_what_is_attached_from_a_file_with_other_units_is_held_where_it_stands(tmp_path):
@@ -177,20 +84,6 @@ def test_meshes_of_an_mjcf_are_whole_and_read_anew_once_edited(tmp_path, how):
             read(path)
 
 
-def test_a_circle_of_couplings_needs_a_value_unless_it_agrees(tmp_path):
-    circle = (
-        '<equality><joint joint1="right" joint2="left" polycoef="0.01 0.5 0 0 0"/>'
-        '<joint joint1="left" joint2="right" polycoef="0.01 0.5 0 0 0"/></equality>'
-    )
-    path = written(tmp_path, circle)
-    with pytest.raises(InputError, match=r"'right' of .* follows joints that follow it, and none"):
-        load_robot(path)
-    held = load_robot(path, hold={"left": 0.01}).held
-    assert held == pytest.approx({"left": 0.01, "right": 0.015})
-    same = written(tmp_path, circle.replace("0.01 0.5", "0 1"))
-    assert load_robot(same).held == pytest.approx({"left": 0.03, "right": 0.03})
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -214,41 +107,6 @@ def test_a_circle_of_couplings_needs_a_value_unless_it_agrees(tmp_path):
 def test_joints_and_bodies_that_do_not_fit_are_refused(tmp_path, settings, message):
     with pytest.raises(InputError, match=message):
         load_robot(written(tmp_path), **settings)
-
-
-PULLED = TENDON.partition("<equality>")[0] + '<actuator><position tendon="grip"/></actuator>'
-
-
-@pytest.mark.parametrize(
-    ("coupling", "settings", "message"),
-    [
-        (
-            TENDON,
-            {"joints": ["turn", "left"]},
-            "'left' of .* is coupled to 'right', which planning",
-        ),
-        (LOOP, {"joints": ["right"]}, "'right' of .* is coupled to 'left', which planning would"),
-        (PULLED, {"joints": ["right"]}, "'right' of .* is coupled to 'left', which planning would"),
-        (TENDON, {"joints": ["left", "right"]}, "'left' and 'right' of .* are tied by an equality"),
-        (LOOP, {"joints": ["turn", "left", "right"]}, "tied by .*; plan for one of them at most"),
-        (PULLED, {"joints": ["left", "right"]}, None),
-        (TENDON, {"joints": ["left"], "hold": {"right": 0.01}}, None),
-        (TENDON, {"hold": {"left": 0.01}}, "'left' of .* to be held and is tied to 'right', which"),
-        (LOOP, {"hold": {"left": 0.01, "right": 0.01}}, None),
-        (PULLED, {"hold": {"left": 0.01}}, None),
-        (TENDON + EQUALITY, {"hold": {"left": 0.01}}, None),  # which says where the other one is
-        (TENDON + EQUALITY, {"hold": {"right": 0.01}}, "'right' of .* tied to 'left', which would"),
-    ],
-)
-def test_what_a_tendon_or_a_loop_moves_along_is_not_planned_for_where_it_was(
-    tmp_path, coupling, settings, message
-):
-    path = written(tmp_path, coupling)
-    if message is None:
-        assert load_robot(path, **settings).num_dof == len(settings.get("joints", "tbs"))
-        return
-    with pytest.raises(InputError, match=message):
-        load_robot(path, **settings)
 
 
 def test_a_joint_without_limits_gets_half_a_turn_either_way(tmp_path, caplog):

@@ -1,6 +1,5 @@
 """Evaluation: what is written, summed up, resumed and refused."""
 
-import copy
 import dataclasses
 import json
 import re
@@ -249,20 +248,23 @@ def test_problems_of_one_name_and_another_content_are_not_compared_nor_gone_on_w
 def test_a_picture_that_cannot_be_is_refused_before_planning(
     tiny_path, problems, results, tmp_path, monkeypatch
 ):
-    of_others, cut = json.loads(json.dumps(results)), json.loads(json.dumps(results))
+    of_others, rested, cut = (json.loads(json.dumps(results)) for _ in range(3))
     of_others["settings"]["time_limit"] = 1.0
+    rested["settings"]["rest_share"] = 0.5
     cut["complete"] = False
     of_arm = json.loads(json.dumps(results))
     of_arm["settings"]["hold"] = [["c", 0.1]]
-    for name, held in (("others", of_others), ("cut", cut), ("held", of_arm)):
+    written = ("others", of_others), ("rested", rested), ("cut", cut), ("held", of_arm)
+    for name, held in written:
         (tmp_path / f"{name}.json").write_text(json.dumps(held))
     figure, out = tmp_path / "summary.png", tmp_path / "out.json"
-    others = tmp_path / "others.json", tmp_path / "cut.json"
+    others = tuple(tmp_path / f"{name}.json" for name in ("others", "rested", "cut"))
     for pictures, message in (
         ({"figure": tmp_path / "summary.doc"}, "summary.doc' has no known ending; there are"),
         ({"beside": others}, "--beside names results for a picture; give --figure, too"),
         ({"figure": figure, "beside": others[:1]}, r"'others' of .* has time_limit 1.0, not 5.0"),
-        ({"figure": figure, "beside": others[1:]}, "cut.json' holds results that were cut off"),
+        ({"figure": figure, "beside": others[1:2]}, r"'rested' of .* has rest_share 0.5, not None"),
+        ({"figure": figure, "beside": others[2:]}, "cut.json' holds results that were cut off"),
         (
             {"figure": figure, "beside": (tmp_path / "held.json",)},
             "'held' of .* has hold .*'c', 0.1",
@@ -274,22 +276,6 @@ def test_a_picture_that_cannot_be_is_refused_before_planning(
     with pytest.raises(InputError, match=r"--figure needs the viz extra .*gnnjax\[viz\]"):
         evaluate(config(tiny_path, problems, out, figure=figure))
     assert not out.exists()
-
-
-def test_rows_of_planners_that_callers_make_pass_for_no_others(
-    tiny_path, problems, tmp_path, planner_once, capsys
-):
-    case = config(tiny_path, problems, tmp_path / "own.json")
-    planner = copy.copy(planner_once(load_robot(tiny_path), case))
-    with pytest.raises(InputError, match=r"planner has margin 0.0, and results would tell 0.01;"):
-        evaluate(dataclasses.replace(case, margin=0.01), planner)
-    planner.given = {"scorer": min}
-    print_summary(evaluate(case, planner))
-    assert "lazysp, 40 nodes, own scorer" in capsys.readouterr().out
-    with pytest.raises(InputError, match=r"own.json' is there, .* the same scorer of your own"):
-        evaluate(case, planner)
-    with pytest.raises(InputError, match=r"holds results with own \['scorer'\], not None"):
-        evaluate(case)
 
 
 class ShortOfMemory:

@@ -1,10 +1,12 @@
 """Generated problem sets: reproducible, resumable, and right."""
 
+import dataclasses
 import json
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -138,6 +140,13 @@ def test_bad_settings_are_refused(labelled, change, message):
     with pytest.raises(InputError, match=message):
         generate(GenerateConfig(robot=labelled.robot, out=labelled.out, **settings))
     assert len(load_problems(labelled.out, load_robot(labelled.robot))) == 5
+
+
+def test_a_set_of_an_arm_that_was_edited_since_is_not_gone_on_with(labelled, tmp_path):
+    edited = tmp_path / "tiny.xml"
+    edited.write_text(Path(labelled.robot).read_text().replace('range="-2 2"', 'range="-2 2.1"'))
+    with pytest.raises(InputError, match=r"was generated with settings \['robot_sha256'\]"):
+        generate(dataclasses.replace(labelled, robot=str(edited), num_problems=7))
 
 
 def test_a_folder_of_other_things_is_left_alone(tiny_path, tmp_path):

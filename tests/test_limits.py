@@ -54,6 +54,29 @@ def test_the_torques_of_a_model_that_has_some_are_limited(tmp_path):
         execute_trajectory(robot, NOTHING, found)
 
 
+@pytest.mark.parametrize(
+    "motor",
+    [
+        '<motor joint="b" forcerange="0 10"/>',
+        '<motor joint="b" forcerange="-20 -10"/>',
+        '<motor joint="b" gear="-10" ctrlrange="0 1"/>',
+        '<motor joint="b" forcerange="-9 9"/><motor joint="b" forcerange="5 10"/>',
+    ],
+)
+def test_a_motor_that_pushes_one_way_only_is_refused_unless_torques_are_given(tmp_path, motor):
+    path = tmp_path / "one_way.xml"
+    path.write_text(TINY.replace("</mujoco>", f"<actuator>{motor}</actuator></mujoco>"))
+    robot, fault = load_robot(path), r"motors of joint b of one_way push one way only, .* give torq"
+    assert robot.torque_limit is None
+    with pytest.raises(InputError, match=fault):
+        limits_of(robot, velocity=1.0, acceleration=1.0)
+    with pytest.raises(InputError, match=fault):
+        robot.at_rest_within(0.5)
+    given = limits_of(robot, velocity=1.0, acceleration=1.0, torque=20.0).torque
+    np.testing.assert_array_equal(given, [20.0] * 3)
+    assert robot.at_rest_within(0.5, torque=20.0).rest_limit is not None
+
+
 def test_limits_of_a_model_are_taken_where_none_are_given():
     robot = load_robot("franka_panda")
     limits = limits_of(robot, acceleration=3.0)

@@ -201,21 +201,25 @@ def _by_name(
 
 def motor_limits(model: mujoco.MjModel) -> np.ndarray:
     """What each joint of a model can exert either way, N m or N, by its own limits and those of its
-    actuators; infinite where it has none."""
+    actuators; infinite where it has none, and 0 where one of them lets it push one way only."""
     limits = np.full(model.njnt, np.inf)
     for j in np.flatnonzero(model.jnt_actfrclimited):
-        limits[j] = np.abs(model.jnt_actfrcrange[j]).min()
+        limits[j] = _either_way(model.jnt_actfrcrange[j])
     for a in range(model.nu):
-        j = int(model.actuator_trnid[a, 0])
-        if int(model.actuator_trntype[a]) not in _TRN_JOINTS:
+        j, gear = int(model.actuator_trnid[a, 0]), abs(model.actuator_gear[a, 0])
+        if int(model.actuator_trntype[a]) not in _TRN_JOINTS or not gear:
             continue
         ranges = [model.actuator_forcerange[a]] if model.actuator_forcelimited[a] else []
         if model.actuator_ctrllimited[a] and _is_motor(model, a):
             ranges.append(model.actuator_ctrlrange[a] * model.actuator_gainprm[a, 0])
         for force in ranges:
-            most = np.abs(force).min() * abs(model.actuator_gear[a, 0])
-            limits[j] = min(limits[j], most)
-    return np.where(limits > 0, limits, np.inf)
+            limits[j] = min(limits[j], _either_way(force) * gear)
+    return limits
+
+
+def _either_way(force: np.ndarray) -> float:
+    """The most that a range of forces has of both signs."""
+    return max(0.0, min(-force.min(), force.max()))
 
 
 def _is_motor(model: mujoco.MjModel, a: int) -> bool:
@@ -226,6 +230,6 @@ def _is_motor(model: mujoco.MjModel, a: int) -> bool:
 
 
 def _torques(model: mujoco.MjModel, planned: list[int]) -> np.ndarray | None:
-    """Limits of the planned joints; None where one has none."""
+    """Limits of the planned joints; None where one has none, or pushes one way only."""
     chosen = motor_limits(model)[planned]
-    return chosen.astype(np.float32) if np.isfinite(chosen).all() else None
+    return chosen.astype(np.float32) if ((chosen > 0) & np.isfinite(chosen)).all() else None

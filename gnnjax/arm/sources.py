@@ -1,5 +1,6 @@
 """Which files a model is read from, besides the one that is named."""
 
+import hashlib
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -48,6 +49,12 @@ def sources(path: Path) -> list[Path]:
         except InputError:  # of what it only looks like; or whoever reads it says so
             continue
     return [path, *meshes]
+
+
+def sources_sha256(path: Path) -> str:
+    """Checksum of all that `sources` lists: another one once any of it is edited."""
+    sums = [hashlib.sha256(file.read_bytes()).digest() for file in sources(path)]
+    return hashlib.sha256(b"".join(sums)).hexdigest()
 
 
 def _there(names: Iterable[str], texts: list[Path], folders: list[str]) -> list[Path]:

@@ -72,17 +72,17 @@ def at_rest_within(robot: Robot, share: float, torque: Amounts | None = None) ->
         raise InputError(
             f"the share of torques at rest is {brief(share)}; give one above 0, up to 1"
         )
-    limit = robot.torque_limit if torque is None else positive_amounts(robot, "torque", torque)
-    if limit is None:
-        without = int((~np.isfinite(motor_limits(robot.mj_model))).argmax())
+    limit = own_torques(robot) if torque is None else positive_amounts(robot, "torque", torque)
+    if not np.isfinite(limit).all():
+        without = robot.joint_names[int(np.isfinite(limit).argmin())]
         where = in_kind(
             robot.path,
             mjcf='actuatorfrcrange="-T T" into its MJCF',
             urdf='<limit effort="T"/> into its URDF',
         )
         raise InputError(
-            f"joint {robot.joint_names[without]} of {robot.name} has no torque limit to take a "
-            f"share of; give torque=... (N m, one for all joints or one each), or put {where}"
+            f"joint {without} of {robot.name} has no torque limit to take a share of; give "
+            f"torque=... (N m, one for all joints or one each), or put {where}"
         )
     return _resting(robot, tuple((share * np.asarray(limit, float)).tolist()))
 
@@ -102,6 +102,22 @@ def _resting(robot: Robot, limit: tuple[float, ...]) -> Robot:
             "than gravity and linear springs (tendons, equalities); take them out of the model"
         )
     return dataclasses.replace(robot, rest_limit=np.array(limit))
+
+
+def own_torques(robot: Robot) -> np.ndarray:
+    """Limits `[D]` of torques by the model, N m or N, infinite of joints without.
+
+    Raises:
+        InputError: a joint that motors push one way only.
+    """
+    limits = motor_limits(robot.mj_model)
+    if not limits.all():
+        raise InputError(
+            f"the motors of joint {robot.joint_names[int(limits.argmin())]} of {robot.name} push "
+            "one way only, by a forcerange, ctrlrange or actuatorfrcrange without both signs; give "
+            "torque=... (N m, one for all joints or one each), or mend the range"
+        )
+    return limits
 
 
 def positive_amounts(robot: Robot, name: str, values: Amounts) -> np.ndarray:

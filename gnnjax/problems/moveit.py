@@ -2,7 +2,7 @@
 
 import functools
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,13 +16,15 @@ from gnnjax.problems.moveit_names import (
     end_alike,
     listed,
     matched_joints,
-    prefix_of,
-    shared_prefix,
+    prefixes_of_all,
+    prefixes_of_links,
 )
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.holding import attach
 from gnnjax.scene.messages import fields_of, list_of, numbers, read_message
 from gnnjax.scene.moveit import (
+    JOINT_STATE,
+    Attached,
     PlanningScene,
     RobotState,
     read_planning_scene,
@@ -31,6 +33,7 @@ from gnnjax.scene.moveit import (
     state_of,
 )
 from gnnjax.scene.pose import IDENTITY
+from gnnjax.scene.scene import Scene
 
 _LOG = logging.getLogger(__name__)
 
@@ -47,7 +50,6 @@ _CONSTRAINTS = (
 ).split()
 _ON_THE_WAY = {"path_constraints": _CONSTRAINTS, "trajectory_constraints": ["constraints"]}
 _JOINT_CONSTRAINT = "joint_name position tolerance_above tolerance_below weight".split()
-_NO_PREFIX = ("", "")
 _SAME = 1e-6  # m or rad, up to which two files agree
 
 
@@ -103,45 +105,79 @@ def query_from_moveit(
     touch those of their `touch_links`; MoveIt's frames of these links must be the arm's, too.
 
     Links are called like bodies where they are but for punctuation, and for the prefix that all
-    joints of the request have beside the arm's, or else the link that holds the object beside its
-    body: with `panda_joint1` for `joint_1`, or held by `panda_hand`, `panda_link7` is `link_7`, and
-    `left_hand` is not `hand`. A line is logged of each that has a prefix, and of each that is no
+    joints of the request have beside the arm's, or else one that all joints have: with
+    `panda_joint1` for `joint_1`, `panda_link7` is `link_7`, and `left_hand` is not `hand`; `names`
+    may say that it is. A line is logged of each that is called otherwise, and of each that is no
     body of the arm: what is held stays clear of all that is not named.
+
+    Args:
+        scene_path: see `scene_from_moveit`.
+        request_path: moveit_msgs/MotionPlanRequest.
+        robot: the arm.
+        names: the files' name of each of the robot's joints or bodies, where no rule finds it.
 
     Raises:
         InputError: see there and `Robot.attach`; or a link that the arm does not have.
     """
-    found, state, problem, prefix = _read(scene_path, request_path, robot, names or {})
+    names = names or {}
+    found, state, problem, prefixes = _read(scene_path, request_path, robot, names)
     if found.state.attached and state.attached:
         raise InputError(
             f"request {str(request_path)!r} and planning scene {str(scene_path)!r} both have "
             "objects attached to the robot; keep those of one"
         )
-    for thing in (*found.state.attached, *state.attached):
-        body = body_of(robot, thing.link, prefix and {prefix, _NO_PREFIX})
+    attached = [*found.state.attached, *state.attached]
+    return MoveItQuery(_holding(robot, attached, prefixes, names), problem)
+
+
+def surroundings_from_moveit(scene_path: str | Path, robot: Robot) -> tuple[Robot, Scene]:
+    """The arm, with what a planning scene has attached to it, and the scene as its base sees it.
+
+    Links are called like bodies as in `query_from_moveit`, where all joints of the scene's robot
+    state have the prefix.
+
+    Raises:
+        InputError: see there, and `scene_from_moveit`.
+    """
+    found = read_planning_scene(scene_path)
+    prefixes = prefixes_of_all(robot.joint_names, found.state.joints)
+    robot = _holding(robot, found.state.attached, prefixes, {})
+    return robot, scene_of(found, f"planning scene {str(scene_path)!r}")
+
+
+def _holding(
+    robot: Robot,
+    attached: list[Attached],
+    prefixes: Collection[Prefix],
+    names: Mapping[str, str],
+) -> Robot:
+    """The arm that holds what is attached to it."""
+    arm = robot  # bodies of what it holds are no links
+    for thing in attached:
+        body = body_of(arm, thing.link, prefixes, names)
         if body is None:
-            known = [x.name for x in robot.bodies if x.name]
+            known = [x.name for x in arm.bodies if x.name]
+            like = body_of(arm, thing.link, None, names) or known[-1]
             raise InputError(
-                f"{thing.source}: {robot.name} has no such body, but {brief(known)}; call the link "
-                "like one of these"
+                f"{thing.source}: {arm.name} has no such body, but {brief(known)}; call it like "
+                f"one of these, or say names={{{like!r}: {thing.link!r}}}"
             )
-        shared = {prefix or prefix_of(body, thing.link) or _NO_PREFIX, _NO_PREFIX}
-        links = {name: body_of(robot, name, shared) for name in thing.touches}
+        links = {name: body_of(arm, name, prefixes, names) for name in thing.touches}
         for name, own in {thing.link: body, **links}.items():
             if own is None:
-                _note(f"planning scenes let {name} be touched, which {robot.name} does not have")
-            elif prefix_of(own, name) != _NO_PREFIX:
-                _note(f"link {name} of planning scenes is taken for body {own} of {robot.name}")
+                _note(f"planning scenes let {name} be touched, which {arm.name} does not have")
+            elif own != name:
+                _note(f"link {name} of planning scenes is taken for body {own} of {arm.name}")
         touched = [own for own in links.values() if own is not None]
         robot = attach(robot, body, thing.shapes, mass=thing.mass, allow=touched)
-    return MoveItQuery(robot, problem)
+    return robot
 
 
 def _read(
     scene_path: str | Path, request_path: str | Path, robot: Robot, names: Mapping[str, str]
-) -> tuple[PlanningScene, RobotState, Problem, Prefix | None]:
-    """The scene, the state that the request starts from, the problem of both, and what stands
-    before all names of joints."""
+) -> tuple[PlanningScene, RobotState, Problem, set[Prefix]]:
+    """The scene, the state that the request starts from, the problem of both, and what may stand
+    before names of links."""
     called = f"request {str(request_path)!r}"
     message = read_message(request_path, "request", [*_PROBLEM, *_ON_THE_WAY, *_HOW])
     for name, known in _ON_THE_WAY.items():
@@ -180,14 +216,13 @@ def _read(
         _configuration(mapping, goal, f"goal of {called}"),
         scene_of(placed, f"planning scene {str(scene_path)!r}"),
     )
-    return found, state, problem, shared_prefix(mapping)
+    return found, state, problem, prefixes_of_links(mapping)
 
 
 def _start(message: dict[str, Any], called: str) -> dict[str, float]:
     """Positions of the start state's joints by name."""
     state = message.get("start_state") or {}  # its fields are known since `state_of`
-    known = "header name position velocity effort".split()
-    joints = fields_of(state.get("joint_state"), known, f"joint_state of {called}")
+    joints = fields_of(state.get("joint_state"), JOINT_STATE, f"joint_state of {called}")
     given = list_of(joints, "name", called)
     values = numbers(joints.get("position") or [], None, f"position of joint_state of {called}")
     if len(given) != len(values) or len(set(map(str, given))) < len(given):

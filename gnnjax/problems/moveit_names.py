@@ -1,22 +1,26 @@
 """Which joint or body of an arm it is that MoveIt calls so."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TypeAlias
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 
 Prefix: TypeAlias = tuple[str, str]  # of MoveIt's names and of the arm's; one of them is empty
+_NO_PREFIX = ("", "")
 
 
 def matched_joints(
     robot: Robot, others: Sequence[str], names: Mapping[str, str], called: str
 ) -> dict[str, str]:
     """The request's name of each of the robot's joints, in the order of a configuration."""
-    own = robot.joint_names
-    if unknown := sorted(names.keys() - set(own)):
-        raise InputError(f"names has {unknown}, and the joints of {robot.name} are {list(own)}")
+    own, bodies = robot.joint_names, _bodies(robot)
+    if unknown := sorted(names.keys() - {*own, *bodies}):
+        raise InputError(
+            f"names has {unknown}, and the joints of {robot.name} are {list(own)}, its bodies "
+            f"{bodies}"
+        )
     found = {}
     for joint in own:
         exact = names.get(joint, joint)
@@ -35,12 +39,29 @@ def matched_joints(
     return found
 
 
-def shared_prefix(mapping: Mapping[str, str]) -> Prefix | None:
-    """What stands before the names of one side alone, of all of an arm's joints the same; None
-    where they are called alike or nothing is shared."""
-    found = {prefix_of(own, other) for own, other in mapping.items()}
-    (only,) = found if len(found) == 1 else (None,)
-    return only if only and any(only) else None
+def prefixes_of_links(mapping: Mapping[str, str]) -> set[Prefix]:
+    """What may stand before the names of links beside those of bodies.
+
+    That is nothing, and what all joints of one side have before the names of the other, or else
+    what the names of all joints begin with: where these are `left_joint1` both here and there,
+    `left_hand` may be `hand`.
+
+    Args:
+        mapping: MoveIt's name of each of the arm's joints.
+    """
+    alone = {prefix_of(own, other) for own, other in mapping.items()}
+    if len(alone) == 1 and any(only := alone.pop() or _NO_PREFIX):
+        return {_NO_PREFIX, only}
+    return prefixes_of_all(mapping, mapping.values())
+
+
+def prefixes_of_all(own: Iterable[str], others: Iterable[str]) -> set[Prefix]:
+    """What the names of all of an arm's joints begin with, and all of MoveIt's, each alone; and
+    nothing."""
+    ours, theirs = ([{_plain(x) for x, _ in _parted(name)} for name in y] for y in (own, others))
+    found = {_NO_PREFIX}
+    found |= {(start, "") for start in set.intersection(*theirs or [set()])}
+    return found | {("", start) for start in set.intersection(*ours or [set()])}
 
 
 def prefix_of(own: str, other: str) -> Prefix | None:
@@ -59,25 +80,36 @@ def prefix_of(own: str, other: str) -> Prefix | None:
     return None
 
 
-def body_of(robot: Robot, link: str, prefixes: Iterable[Prefix] | None) -> str | None:
-    """The body that is called like a link, or like it with one of these prefixes; None where there
-    is none or more than one.
+def body_of(
+    robot: Robot, link: str, prefixes: Collection[Prefix] | None, names: Mapping[str, str]
+) -> str | None:
+    """The body that a link is said to be, or is called like, or like it with one of these prefixes;
+    None where there is none or more than one.
 
     Args:
         robot: the arm.
         link: its name in a message.
         prefixes: None: any.
+        names: of links, by the body that they are.
     """
-    own = [body.name for body in robot.bodies if body.name]
-    if link in own:
-        return link
-    found = {name: prefix_of(name, link) for name in own}
+    bodies = _bodies(robot)
+    said = [body for body in bodies if names.get(body) == link]
+    exact = [body for body in bodies if body == link and body not in names]
     alike = [
-        name
-        for name, prefix in found.items()
-        if prefix is not None and (prefixes is None or prefix in prefixes)
+        body
+        for body in bodies
+        if body not in names
+        and (prefix := prefix_of(body, link)) is not None
+        and (prefixes is None or prefix in prefixes)
     ]
-    return alike[0] if len(alike) == 1 else None
+    for found in (said, exact, alike):
+        if found:
+            return found[0] if len(found) == 1 else None
+    return None
+
+
+def _bodies(robot: Robot) -> list[str]:
+    return [body.name for body in robot.bodies if body.name]
 
 
 def end_alike(one: str, other: str) -> bool:

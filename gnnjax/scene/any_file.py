@@ -37,6 +37,11 @@ _READERS = {
 }
 
 
+def is_moveit(path: Path) -> bool:
+    """Whether a file is read as a planning scene of MoveIt."""
+    return _READERS.get(path.suffix.lower()) is _moveit
+
+
 def read_scene(path: Path, robot: Robot) -> Scene:
     """Reads a scene: lists (.json), MoveIt's planning scene (.yaml), a MuJoCo model (.xml) or an
     octomap (.bt, .ot).

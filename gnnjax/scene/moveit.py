@@ -25,6 +25,7 @@ _SCENE = (
     "link_padding link_scale object_colors world"
 ).split()
 _STATE = "joint_state multi_dof_joint_state attached_collision_objects is_diff".split()
+JOINT_STATE = "header name position velocity effort".split()
 _ATTACHED = "link_name object touch_links detach_posture weight".split()
 _MULTI_DOF = "header joint_names transforms twist wrench".split()
 _TRANSFORM = ("translation", "rotation")
@@ -41,10 +42,11 @@ class Attached(NamedTuple):
 
 
 class RobotState(NamedTuple):
-    """What a moveit_msgs/RobotState says beside the joints."""
+    """What a moveit_msgs/RobotState says beside where joints are."""
 
     base: Pose | None  # of the robot's root link, in the planning frame; None where it is not said
     attached: list[Attached]
+    joints: list[str]  # of which it says where they are
 
 
 class PlanningScene(NamedTuple):
@@ -190,8 +192,12 @@ def state_of(state: Any, frames: dict[str, Pose], called: str) -> RobotState:
         InputError: more than one joint could place the robot, or it holds what no arm can here.
     """
     fields = fields_of(state, _STATE, f"robot state of {called}")
-    listed = list_of(fields, "attached_collision_objects", called)
-    return RobotState(_base(fields, frames, called), [_attached(x, called) for x in listed])
+    attached = list_of(fields, "attached_collision_objects", called)
+    joints = fields_of(fields.get("joint_state"), JOINT_STATE, f"joint_state of {called}")
+    names = [str(x) for x in list_of(joints, "name", called)]
+    return RobotState(
+        _base(fields, frames, called), [_attached(x, called) for x in attached], names
+    )
 
 
 def _attached(value: Any, called: str) -> Attached:

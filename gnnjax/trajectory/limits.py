@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gnnjax.arm.reading import motor_limits
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.shipped import in_kind
-from gnnjax.arm.torques import Amounts, positive_amounts
+from gnnjax.arm.torques import Amounts, own_torques, positive_amounts
 from gnnjax.errors import InputError
 
 ANY_TORQUE = 1e9  # N m or N: what no arm needs, and a number, as infinity is not when it cancels
@@ -44,13 +43,13 @@ def limits_of(
 
     Raises:
         InputError: a limit that is not positive, or too many of them; no velocities, or no
-            accelerations.
+            accelerations; a joint of the model that motors push one way only.
     """
     given = {"velocity": velocity, "acceleration": acceleration, "torque": torque, "jerk": jerk}
     found = {}
     for name, values in given.items():
-        own = _own(robot, name)
-        found[name] = positive_amounts(robot, name, values) if values is not None else own
+        own = values is None
+        found[name] = _own(robot, name) if own else positive_amounts(robot, name, values)
         if found[name] is None and name in _REMEDIES:
             where = in_kind(
                 robot.path,
@@ -68,8 +67,7 @@ def _own(robot: Robot, name: str) -> np.ndarray | None:
     """Limits of the model; those of torques as far as it has them."""
     if name == "jerk":  # which models lack
         return None
-    limits = getattr(robot, f"{name}_limit")
-    if name == "torque" and limits is None:
-        motors = motor_limits(robot.mj_model)
-        limits = np.minimum(motors, ANY_TORQUE) if np.isfinite(motors).any() else None
-    return limits
+    if name == "torque":
+        limits = own_torques(robot)
+        return np.minimum(limits, ANY_TORQUE) if np.isfinite(limits).any() else None
+    return getattr(robot, f"{name}_limit")
