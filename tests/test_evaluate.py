@@ -414,7 +414,7 @@ def test_a_file_with_something_else_is_kept(tiny_path, problems, tmp_path, text,
         (["--batch-size", "0"], "error: batch_size is 0"),
         (["--seed", "-1"], "error: seed is -1"),
         (["--sampled"], "error: sampled with planner 'lazysp'; it is for planner 'guided'"),
-        (["--no-shorten"], "error: shorten=False with planner 'lazysp'; it is for planner"),
+        (["--no-shorten"], "error: --no-shorten with planner 'lazysp'; it is for planner"),
         (["--json", "."], "error: '.' is a folder; name a file"),
     ],
 )
