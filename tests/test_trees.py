@@ -8,13 +8,13 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import clearances
-from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.collision.sequences import Items, Outcome, SequenceTester
 from gnnjax.planning import trees
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import path_length
-from gnnjax.planning.shortcuts import _POINTS, _shortest, _spread, cut_short
+from gnnjax.planning.shortcuts import _POINTS, _cut, _shortest, _spread, cut_short
 from gnnjax.planning.trees import DRAWN, Outlook, Tree, _likely, grow
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
@@ -48,12 +48,12 @@ def strategy(robot):
     return make_planner(robot, PlannerOptions(num_nodes=32)).strategy
 
 
-def grown(robot, strategy, tester, problems, effort=1, time_limit=np.inf, defers=False):
+def grown(robot, strategy, tester, problems, time_limit=np.inf, defers=False):
     progress = Progress(robot, problems)
     progress.defers = defers
     placed, ids = tester.place(progress.problems.scene), np.arange(len(problems.start))
     outlook = Outlook(progress, strategy, ids, 2)
-    grow(robot, progress, tester, placed, ids, outlook, 0, effort, time_limit)
+    grow(robot, progress, tester, placed, ids, outlook, 0, trees.MOST_ROUNDS, time_limit)
     return progress, placed
 
 
@@ -108,12 +108,12 @@ def test_the_guide_picks_the_branches(robot, strategy, tester, problems):
     """Of a guide that knows what is free, fewer are blocked."""
     progress = Progress(robot, problems)
     rows = np.arange(len(problems.start))
-    tree = Tree(problems.start, 10)
+    own, others = ([Tree(root) for root in x] for x in (problems.start, problems.goal))
     goals = np.random.default_rng(2).uniform(
         robot.joint_lower, robot.joint_upper, (len(rows), DRAWN, 3)
     )
     outlook = Outlook(progress, strategy, rows, 2)
-    row, near, picked = _likely(tree, outlook, rows, goals.astype(np.float32))
+    row, near, picked = _likely(own, others, outlook, rows, goals.astype(np.float32), 0)
     assert not near.any()
     assert sorted(set(row.tolist())) == rows.tolist()
     every = np.repeat(rows, DRAWN), goals.reshape(-1, 3)
@@ -126,6 +126,62 @@ def test_the_guide_picks_the_branches(robot, strategy, tester, problems):
     assert share["picked"] < 0.8 * share["every"]
 
 
+def test_branches_on_short_ways_are_picked_and_later_others_too(monkeypatch):
+    """Of branches that are all as likely."""
+    monkeypatch.setattr(Outlook, "__init__", lambda self: None)
+    monkeypatch.setattr(
+        Outlook, "prices", lambda self, rows, a, b: np.zeros(a.shape[:2], np.float32)
+    )
+    own, other = Tree(np.zeros(2, np.float32)), Tree(np.array([4, 0], np.float32))
+    own.add(0, np.array([[0, 1], [0, 2]], np.float32))
+    goals = np.random.default_rng(3).uniform(-4, 4, (1, DRAWN, 2)).astype(np.float32)
+    through = {}
+    for number in (0, 1000):
+        _, near, picked = _likely([own], [other], Outlook(), np.zeros(1, int), goals, number)
+        way = picked - own.nodes[near]
+        ends = own.nodes[near] + way * np.minimum(1, 2 / np.linalg.norm(way, axis=1))[:, None]
+        through[number] = own.costs[near] + np.linalg.norm(ends - own.nodes[near], axis=1)
+        through[number] += np.linalg.norm(ends - other.nodes[0], axis=1)
+    assert len(through[0]) == 5
+    assert len(through[1000]) == 8
+    assert through[0].max() < 5.5  # where the straight way is 4
+    assert through[1000].max() > 6
+    assert through[1000].min() < 4.5
+
+
+def test_what_is_not_certified_is_cut_off_and_gone_around(
+    robot, strategy, tester, problems, monkeypatch
+):
+    before, _ = grown(robot, strategy, tester, problems)
+    i = int(np.argmax([0 if path is None else len(path) for path in before.paths]))
+    barred = before.paths[i][1]
+
+    def refusing(self, ids, paths):
+        found = [~(path[1:] == barred).all(axis=1) for path in paths]
+        for at, path, good in zip(ids, paths, found, strict=True):
+            if good.all() and self.paths[at] is None:
+                self.paths[at] = path
+        return found
+
+    monkeypatch.setattr(Progress, "certify", refusing)
+    cut, gone = Tree.cut, []
+    monkeypatch.setattr(Tree, "cut", lambda self, node: (gone.append(node), cut(self, node)))
+    after, _ = grown(robot, strategy, tester, jax.tree.map(lambda x: x[i : i + 1], problems))
+    assert gone
+    assert after.paths[0] is not None
+    assert not (after.paths[0] == barred).all(axis=1).any()
+
+
+def test_a_node_that_is_cut_off_takes_with_it_what_hangs_on_it():
+    tree = Tree(np.zeros(1, np.float32))
+    tip = tree.add(0, np.array([[1], [2], [3]], np.float32))
+    tree.add(0, np.array([[-1]], np.float32))
+    tree.add(tip, np.array([[4]], np.float32))
+    tree.cut(2)
+    q = np.array([[4], [1.6], [-2]], np.float32)
+    np.testing.assert_array_equal(tree.nearest(q), [1, 1, 4])
+
+
 def test_no_time_grows_nothing(robot, strategy, tester, problems):
     progress, _ = grown(robot, strategy, tester, problems, time_limit=-1.0)
     assert all(path is None for path in progress.paths)
@@ -135,23 +191,59 @@ def test_no_time_grows_nothing(robot, strategy, tester, problems):
 def test_the_nearest_nodes_are_those_of_all_distances(monkeypatch):
     rng = np.random.default_rng(8)
     nodes, q = (rng.normal(size=(n, 7)).astype(np.float32) for n in (90, 12))
-    tree = Tree(nodes[:2], room=100)
-    for number, row in enumerate(np.repeat([0, 1], [60, 28])):
-        tree.add(int(row), 0, nodes[2 + number, None])
-    of = [[0, *range(2, 62)], [1, *range(62, 90)]]
-    wanted = [np.linalg.norm(nodes[rows] - q[:, None], axis=-1).argmin(axis=1) for rows in of]
-    both = np.stack([q, q])
-    np.testing.assert_array_equal(tree.nearest(np.arange(2), both), wanted)
+    tree = Tree(nodes[0])
+    for node in nodes[1:]:
+        tree.add(0, node[None])
+    wanted = np.linalg.norm(nodes - q[:, None], axis=-1).argmin(axis=1)
+    np.testing.assert_array_equal(tree.nearest(q), wanted)
     monkeypatch.setattr(trees, "_PRODUCT", 7 * 12 * 8)  # blocks of eight nodes
-    np.testing.assert_array_equal(tree.nearest(np.array([1, 0]), both), wanted[::-1])
+    np.testing.assert_array_equal(tree.nearest(q), wanted)
 
 
-def test_a_full_tree_stays_as_it_is():
-    tree = Tree(np.zeros((1, 2), np.float32), 3)
-    assert tree.add(0, 0, np.ones((5, 2), np.float32)) == 2
-    assert tree.add(0, 1, np.ones((1, 2), np.float32)) == 1
-    assert tree.count[0] == 3
-    assert len(tree.way(0, 2)) == 3
+def test_a_tree_has_room_for_long_branches_and_knows_its_ways():
+    tree = Tree(np.zeros(2, np.float32))
+    branch = np.cumsum(np.ones((300, 2), np.float32), axis=0)
+    tip = tree.add(0, branch)
+    side = tree.add(1, np.array([[1, 5]], np.float32))
+    np.testing.assert_array_equal(
+        tree.nodes[tree.way(tip)[::-1]], np.stack([0 * branch[0], *branch])
+    )
+    assert tree.way(side) == [side, 1, 0]
+    np.testing.assert_allclose(tree.costs[[tip, side]], [300 * 2**0.5, 2**0.5 + 4], rtol=1e-5)
+
+
+def test_of_shortcuts_few_are_tested_and_the_shortest_way_is_that_along_all_that_hold(
+    robot, tester, problems, monkeypatch
+):
+    rng = np.random.default_rng(4)
+    pieces = [rng.uniform(-2, 2, (number, 3)).astype(np.float32) for number in (3, 4, 6)]
+    holds, asked = {}, 0
+
+    def hold(start, end):
+        key = start.tobytes() + end.tobytes()
+        return holds.setdefault(key, rng.random() < 0.4)
+
+    def test(self, placed, items, num, clock):
+        nonlocal asked
+        asked += num
+        free = np.array([hold(*ends) for ends in zip(items.starts, items.ends, strict=True)])
+        return Outcome(free.astype(int), ~free, np.ones(num, int), np.ones(num, int))
+
+    monkeypatch.setattr(SequenceTester, "__call__", test)
+    placed = tester.place(problems.scene)
+    found = _cut(Progress(robot, problems), tester, placed, np.arange(3), pieces)
+    first, second = np.triu_indices(_POINTS, 1)
+    assert 3 < asked < 0.8 * 3 * len(first)
+    for piece, way in zip(pieces, found, strict=True):
+        points, edge = _spread(piece)
+        free = [
+            edge[a] == edge[b - 1] or hold(points[a], points[b])
+            for a, b in zip(first, second, strict=True)
+        ]
+        lengths = np.linalg.norm(points[second] - points[first], axis=1)
+        best = _shortest(points, np.where(free, lengths, np.inf))
+        assert path_length(way) == pytest.approx(path_length(best), rel=1e-5)
+        assert path_length(best) < 0.999 * path_length(piece)
 
 
 def test_points_of_a_path_hold_its_corners_and_the_shortest_way_is_dijkstras():

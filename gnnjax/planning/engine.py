@@ -1,9 +1,10 @@
 """The engine: many problems on their way.
 
-Straight lines come first, then roadmaps, all problems side by side (`attempts.py`): likely paths of
-some roadmaps before unlikely ones of any; then trees, for what no roadmap solves; then shortcuts. A
-lone query is a batch of one. What a problem's path is and what it cost does not depend on who
-shares its pool.
+Straight lines come first. Where a check costs less than a look at the guide, two trees grow for
+each problem that is left (`trees.py`), and what they find is cut short. Where it costs more,
+roadmaps come before (`attempts.py`), all problems side by side: likely paths of some before
+unlikely ones of any. A lone query is a batch of one. What a problem's path is and what it cost does
+not depend on who shares its pool.
 """
 
 import numpy as np
@@ -14,10 +15,12 @@ from gnnjax.planning.options import CHEAP
 from gnnjax.planning.pool import Pool, sizes_up_to
 from gnnjax.planning.query import Plan
 from gnnjax.planning.shortcuts import cut_short
-from gnnjax.planning.trees import DRAWN, Outlook, grow
+from gnnjax.planning.trees import DRAWN, MOST_ROUNDS, Outlook, grow
 from gnnjax.search.knowledge import INVALID
 
 _STRAIGHT = 1024  # straight lines that are tested at once
+_GROWN = 1024  # problems whose trees are grown together; the last of them take long
+_FEW_ROUNDS = 24  # of trees, for problems that are given up with few roadmaps
 
 # Roadmaps that are tried in the hope of a likely path before unlikely ones are tested, at effort 1.
 _ROADMAPS_A_LEVEL = 4
@@ -33,11 +36,8 @@ class Run(Attempts):
         for first in range(0, 0 if self.options.sampled else len(every), _STRAIGHT):
             self._test_straight_lines(every[first : first + _STRAIGHT])
         # Paths that are shortened afterwards wait for the certificate of what comes out.
-        cheap = self.strategy.shorten and self.options.check_cost <= CHEAP
-        self.defers = cheap and not self.options.sampled
-        self._search_roadmaps()
-        if not self.options.sampled:
-            self._grow_trees()
+        self.defers = not self._on_roadmaps
+        self._search()
         if self.defers:
             had = np.array([self.best(i) is not None for i in range(len(every))], bool)
             cut_short(self, self.tester, self.placed, every)
@@ -45,10 +45,22 @@ class Run(Attempts):
             # What tests found free and no certificate does: a search that goes around it.
             self.wanted = had & np.array([path is None for path in self.paths], bool)
             if self.wanted.any():
-                self._search_roadmaps()
-                self._grow_trees()
+                self._search()
                 cut_short(self, self.tester, self.placed, np.flatnonzero(self.wanted))
         return self.plans([self._reason(i) for i in range(len(every))])
+
+    @property
+    def _on_roadmaps(self) -> bool:
+        """Whether paths are looked for on roadmaps, before trees. They ask for fewer checks and for
+        more looks at the guide, and their paths are shorter where nothing shortens them."""
+        options = self.options
+        return options.sampled or not self.strategy.shorten or options.check_cost > CHEAP
+
+    def _search(self) -> None:
+        if self._on_roadmaps:
+            self._search_roadmaps()
+        if not self.options.sampled:
+            self._grow_trees()
 
     def _search_roadmaps(self) -> None:
         """Searches roadmaps for the problems that have no path."""
@@ -75,12 +87,13 @@ class Run(Attempts):
             self.kept = [[] for _ in every]
 
     def _grow_trees(self) -> None:
-        """What is left to problems that no roadmap solves."""
+        """Two trees for each problem that has no path."""
+        rounds = MOST_ROUNDS * self.options.effort if self.most_roadmaps is None else _FEW_ROUNDS
         ids = self._open()
         ends = np.concatenate([self.problems.start[ids], self.problems.goal[ids]], axis=1)
         ids = ids[np.isfinite(ends).all(axis=1)]  # of others there is nothing to grow from
-        for first in range(0, len(ids), self.pool):
-            begin, some = self.clock.now(), ids[first : first + self.pool]
+        for first in range(0, len(ids), _GROWN):
+            begin, some = self.clock.now(), ids[first : first + _GROWN]
             outlook = Outlook(self, self.strategy, some, self.chunk)
             self.spend(some, begin)
             grow(
@@ -91,16 +104,18 @@ class Run(Attempts):
                 some,
                 outlook,
                 self.seed,
-                self.options.effort,
+                rounds,
                 self.options.time_limit,
             )
 
     def _reason(self, i: int) -> str:
         """Why there is no path of a problem."""
-        tried = (
-            f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe}), "
-            f"{self.rounds[i]} rounds"
-        )
+        tried = f"no path in {self.rounds[i]} rounds of growing trees from both ends"
+        if self._on_roadmaps:
+            tried = (
+                f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe}), "
+                f"{self.rounds[i]} rounds"
+            )
         if self.total_time[i] > self.options.time_limit:
             return f"{tried}, and {self.options.time_limit:g} s are over; give it more time"
         return f"{tried}; more effort may find one"
@@ -110,7 +125,7 @@ class Run(Attempts):
         num = len(self.paths)
         self.tester.warm_up(self.placed, self.robot.num_dof)
         numbers = range(1 if self.options.sampled else min(2, self.options.max_roadmaps))
-        for number in numbers:
+        for number in numbers if self._on_roadmaps else ():
             most = min(num, self.pool, self.strategy.most_slots(number))
             for size in sizes_up_to(most):
                 pool = Pool(size, self.clock, self.tester, self.placed)

@@ -28,7 +28,7 @@ class Progress:
         """
         num = len(problems.start)
         self.robot, self.clock, self._shares = robot, Clock(), shares
-        self._most_roadmaps = most_roadmaps
+        self.most_roadmaps = most_roadmaps
         self.problems = jax.tree.map(np.asarray, problems)
         self.paths: list[np.ndarray | None] = [None] * num
         # Shorter paths that tests found free, which await their certificate; the shortest last.
@@ -43,8 +43,8 @@ class Progress:
         """Which problems have no path, time left and, if need be, roadmaps left, `[P]`."""
         unsolved = np.array([path is None for path in self.paths], bool)
         unsolved &= [not paths for paths in self.unproven]
-        if self._most_roadmaps is not None:
-            unsolved &= self.roadmaps < self._most_roadmaps
+        if self.most_roadmaps is not None:
+            unsolved &= self.roadmaps < self.most_roadmaps
         return unsolved & (self.total_time <= time_limit)
 
     def spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:

@@ -1,9 +1,11 @@
 """Two trees of free motions, from start and goal, until they meet: RRT-Connect (Kuffner and
 LaValle, 2000), with many branches at once and for many problems in step.
 
-What is left to problems that roadmaps do not solve. Branches may go anywhere, so that it finds its
-way out of narrow places step by step; of many that could be tried, the guide picks those that are
-likely to be free. What a problem's trees are does not depend on the others.
+How paths are found where a check costs less than a look at the guide; and where it costs more, for
+problems that roadmaps do not solve. Branches may go anywhere, so that it finds its way out of
+narrow places step by step; of many that could be tried, those are picked that are likely to be
+free, in the guide's eyes, and lie on a short way. What a problem's trees are does not depend on the
+others.
 """
 
 import jax
@@ -16,62 +18,76 @@ from gnnjax.planning.pool import in_chunks
 from gnnjax.planning.progress import Progress
 from gnnjax.scene.scene import without_points
 
-MOST_ROUNDS = 100  # at effort 1
-# Of how many branches the guide picks each one of a round. The first is left to chance: guides err,
-# and with sixteen for each, fewer of MotionBenchMaker's problems were solved.
-_CHOICES = 2 ** np.arange(7)
+MOST_ROUNDS = 200  # at effort 1
+# Of how many branches each one of a round is picked: of many, those that are likely and lie on a
+# short way. What narrow places need is unlikely, and goes around: after some rounds they are picked
+# from few, too, the first by chance, and lengths weigh less.
+_CHOICES = 2 ** np.arange(3, 8)
 DRAWN = int(_CHOICES.sum())  # branches that could be tried in a round
+_LATE_CHOICES = np.append(2 ** np.arange(7), DRAWN - 127)
+_LATE = 24  # rounds
+# nats that a unit of length weighs at first, and rounds after which it weighs half as much
+_LENGTH_WEIGHT, _HALVED = 4.0, 10
 _STEP = 0.5  # configuration units of a branch's edges
 _LONGEST = 4, 16  # edges of a branch, of the first tree and the other
-_ROOM = 64  # nodes a round and tree; where there is none left, a tree stays as it is
+_ROOM = 64  # nodes, at first
 # Multiplications of a product of matrices; of more, libraries wake other cores, which takes longer
 # than the product.
 _PRODUCT = 1 << 18
 
 
 class Tree:
-    """Configurations that are joined to a root by free motions, of P problems."""
+    """Configurations that are joined to a root by free motions."""
 
-    def __init__(self, roots: np.ndarray, room: int):
-        num, num_dof = roots.shape
-        self.nodes = np.full((num, room, num_dof), np.inf, np.float32)
-        self.nodes[:, 0] = roots
-        self.halves = np.full((num, room), np.inf, np.float32)  # of squared lengths of nodes
-        self.halves[:, 0] = _half_squared(roots)
-        self.parents = np.zeros((num, room), int)
-        self.count = np.ones(num, int)
+    def __init__(self, root: np.ndarray):
+        self.count = 1
+        self.nodes = np.zeros((_ROOM, len(root)), np.float32)
+        self.nodes[0] = root
+        self.halves = np.zeros(_ROOM, np.float32)  # of squared lengths of nodes
+        self.halves[0] = _half_squared(root[None])[0]
+        self.costs = np.zeros(_ROOM, np.float32)  # lengths of the ways from the root
+        self.parents = np.zeros(_ROOM, int)
 
-    def nearest(self, rows: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Of some problems, which nodes `[R G]` are nearest to q `[R G D]`."""
-        found = np.zeros(q.shape[:2], int)
-        block = max(1, _PRODUCT // q[0].size)
-        for at, row in enumerate(rows.tolist()):
-            count, nodes = self.count[row], self.nodes[row]
-            # What half the squared distances are, but for that of q from the origin.
-            far = np.empty((len(q[at]), count), np.float32)
-            for first in range(0, count, block):
-                some = slice(first, min(first + block, count))
-                far[:, some] = self.halves[row, some] - q[at] @ nodes[some].T
-            found[at] = far.argmin(axis=1)
-        return found
+    def nearest(self, q: np.ndarray) -> np.ndarray:
+        """Which nodes `[G]` are nearest to q `[G D]`."""
+        block = max(1, _PRODUCT // q.size)
+        # What half the squared distances are, but for that of q from the origin.
+        far = np.empty((len(q), self.count), np.float32)
+        for first in range(0, self.count, block):
+            some = slice(first, min(first + block, self.count))
+            far[:, some] = self.halves[some] - q @ self.nodes[some].T
+        return far.argmin(axis=1)
 
-    def add(self, row: int, parent: int, branch: np.ndarray) -> int:
-        """Adds configurations one after the other; returns the last, or where there was no room."""
-        for q, half in zip(branch, _half_squared(branch), strict=True):
-            at = int(self.count[row])
-            if at == self.nodes.shape[1]:
-                return parent
-            self.nodes[row, at], self.halves[row, at], self.parents[row, at] = q, half, parent
-            self.count[row], parent = at + 1, at
-        return parent
+    def add(self, parent: int, branch: np.ndarray) -> int:
+        """Adds configurations one after the other; returns the last."""
+        begin, end = self.count, self.count + len(branch)
+        while end > len(self.nodes):
+            for name in ("nodes", "halves", "costs", "parents"):
+                had = getattr(self, name)
+                setattr(self, name, np.concatenate([had, np.zeros_like(had)]))
+        steps = np.diff(branch, axis=0, prepend=self.nodes[parent][None])
+        lengths = np.sqrt(2 * _half_squared(steps))
+        self.nodes[begin:end], self.halves[begin:end] = branch, _half_squared(branch)
+        self.costs[begin:end] = self.costs[parent] + np.cumsum(lengths)
+        self.parents[begin:end] = [parent, *range(begin, end - 1)]
+        self.count = end
+        return end - 1
 
-    def way(self, row: int, node: int) -> list[np.ndarray]:
-        """From a node to the root."""
-        found = [self.nodes[row, node]]
+    def way(self, node: int) -> list[int]:
+        """Nodes from one to the root."""
+        found = [node]
         while node:
-            node = int(self.parents[row, node])
-            found.append(self.nodes[row, node])
+            node = int(self.parents[node])
+            found.append(node)
         return found
+
+    def cut(self, node: int) -> None:
+        """Has a node, and what was added beyond it, no longer be nearest to anything."""
+        gone = np.zeros(self.count, bool)
+        gone[node] = True
+        for beyond in range(node + 1, self.count):
+            gone[beyond] = gone[self.parents[beyond]]
+        self.halves[: self.count][gone] = np.inf
 
 
 def _half_squared(q: np.ndarray) -> np.ndarray:
@@ -117,7 +133,7 @@ def grow(
     ids: np.ndarray,
     outlook: Outlook,
     seed: int,
-    effort: int,
+    rounds: int,
     time_limit: float,
 ) -> None:
     """Grows trees for problems without a path, whose paths go to `progress`.
@@ -130,17 +146,17 @@ def grow(
         ids: of the problems.
         outlook: for the same problems.
         seed: of the random configurations, the same for all.
-        effort: how many times `MOST_ROUNDS`.
+        rounds: the most.
         time_limit: s, after which a problem's trees are left.
     """
-    rounds = effort * MOST_ROUNDS
     # An end may lie in another turn of a joint.
     ends = [x[ids].astype(np.float32) for x in (progress.problems.start, progress.problems.goal)]
-    trees = [Tree(x, _ROOM * rounds) for x in ends]
+    trees = [[Tree(root) for root in roots] for roots in ends]
     lower = np.minimum(robot.drawn_lower, np.minimum(*ends))
     span = np.maximum(robot.drawn_upper, np.maximum(*ends)) - lower
-    draws = np.random.default_rng([seed, 2]).random((rounds, DRAWN, robot.num_dof))
-    for number, drawn in enumerate(draws):
+    rng = np.random.default_rng([seed, 2])
+    for number in range(rounds):
+        drawn = rng.random((DRAWN, robot.num_dof))
         open_rows = np.flatnonzero(progress.open(time_limit)[ids])
         if not len(open_rows):
             return
@@ -148,42 +164,89 @@ def grow(
         progress.rounds[ids[open_rows]] += 1
         first, second = trees if number % 2 == 0 else trees[::-1]
         goal = (lower[open_rows, None] + drawn * span[open_rows, None]).astype(np.float32)
-        rows, near, goal = _likely(first, outlook, open_rows, goal)
+        rows, near, goal = _likely(first, second, outlook, open_rows, goal, number)
         tips = _extend(progress, tester, placed, ids, first, rows, near, goal, _LONGEST[0])
         grown = tips >= 0
         rows, tips = rows[grown], tips[grown]
         if len(rows):
-            goal = first.nodes[rows, tips]
-            near = second.nearest(rows, goal[:, None])[:, 0]
+            goal = np.stack([first[row].nodes[tip] for row, tip in zip(rows, tips, strict=True)])
+            near = np.concatenate(
+                [second[row].nearest(q[None]) for row, q in zip(rows, goal, strict=True)]
+            )
             others = _extend(progress, tester, placed, ids, second, rows, near, goal, _LONGEST[1])
-            meet = others >= 0
-            meet[meet] = (second.nodes[rows[meet], others[meet]] == goal[meet]).all(axis=1)
-            paths = []
-            met = (x[meet].tolist() for x in (rows, tips, others))
-            for row, tip, other in zip(*met, strict=True):
-                way = first.way(row, tip)[::-1] + second.way(row, other)[1:]
-                paths.append(np.stack(way if first is trees[0] else way[::-1]))
-            progress.certify_or_keep(ids[rows[meet]], paths)
+            meet = [
+                other >= 0 and (second[row].nodes[other] == q).all()
+                for row, other, q in zip(rows, others, goal, strict=True)
+            ]
+            both = (tips, others) if first is trees[0] else (others, tips)
+            _join(progress, ids, trees, rows[meet], *(x[meet] for x in both))
         progress.spend(ids[open_rows], begin)
 
 
-def _likely(
-    tree: Tree, outlook: Outlook, rows: np.ndarray, goals: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the branches towards configurations `[R DRAWN D]` those that are likely to be free.
+def _join(
+    progress: Progress,
+    ids: np.ndarray,
+    trees: list[list[Tree]],
+    rows: np.ndarray,
+    tips: np.ndarray,
+    others: np.ndarray,
+) -> None:
+    """Hands in the paths of some problems along nodes `[R]` of both of their trees, which are the
+    same configurations; of a path that is not certified, trees lose what hangs on its edges."""
+    ways, paths = [], []
+    for row, tip, other in zip(rows, tips.tolist(), others.tolist(), strict=True):
+        own, beyond = trees[0][row].way(tip), trees[1][row].way(other)
+        # Of each edge the tree that it is of, and the node that is farther from the root.
+        ways.append([(0, node) for node in own[-2::-1]] + [(1, node) for node in beyond[:-1]])
+        paths.append(
+            np.concatenate([trees[0][row].nodes[own[::-1]], trees[1][row].nodes[beyond[1:]]])
+        )
+    certified = progress.certify_or_keep(ids[rows], paths)
+    if certified is None:
+        return
+    for row, way, good in zip(rows, ways, certified, strict=True):
+        for edge in np.flatnonzero(~good):
+            of, node = way[edge]
+            trees[of][row].cut(node)
 
-    To take the likeliest of all would grow what has room already; so each competes with its own.
+
+def _likely(
+    trees: list[Tree],
+    others: list[Tree],
+    outlook: Outlook,
+    rows: np.ndarray,
+    goals: np.ndarray,
+    number: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the branches towards configurations `[R DRAWN D]` those that are likely to be free, and to
+    lie on short ways to the roots of the other trees.
+
+    To take the best of all would grow what has room already; so each competes with its own.
+
+    Args:
+        trees: which grow, of all problems.
+        others: the other ones.
+        outlook: prices motions.
+        rows: of problems.
+        goals: configurations.
+        number: of the round.
 
     Returns:
         Of each branch its problem's row, the node that it leaves, and where to.
     """
-    near = tree.nearest(rows, goals)
-    starts = tree.nodes[rows[:, None], near]
+    near = np.stack([trees[row].nearest(q) for row, q in zip(rows, goals, strict=True)])
+    at = [(trees[row], nodes) for row, nodes in zip(rows, near, strict=True)]
+    starts = np.stack([tree.nodes[nodes] for tree, nodes in at])
     ways = goals - starts
     length = np.linalg.norm(ways, axis=-1, keepdims=True)
     ends = starts + ways * np.minimum(1, _LONGEST[0] * _STEP / np.maximum(length, _STEP))
     price = outlook.prices(rows, starts, ends.astype(np.float32))
-    first = np.cumsum(_CHOICES) - _CHOICES
+    roots = np.stack([others[row].nodes[:1] for row in rows])
+    through = np.stack([tree.costs[nodes] for tree, nodes in at])
+    through += np.linalg.norm(ends - starts, axis=-1) + np.linalg.norm(roots - ends, axis=-1)
+    price += _LENGTH_WEIGHT / (1 + number / _HALVED) * through
+    choices = _CHOICES if number < _LATE else _LATE_CHOICES
+    first = np.cumsum(choices) - choices
     groups = np.split(price, first[1:], axis=1)
     best = first + np.stack([group.argmin(axis=1) for group in groups], axis=1)
     own = np.arange(len(rows))[:, None]
@@ -196,19 +259,19 @@ def _extend(
     tester: SequenceTester,
     placed: PlacedScenes,
     ids: np.ndarray,
-    tree: Tree,
+    trees: list[Tree],
     rows: np.ndarray,
     near: np.ndarray,
     goal: np.ndarray,
     most: int,
 ) -> np.ndarray:
-    """Extends trees from nodes `[R]` towards configurations `[R D]` by up to `most` edges, as far
-    as they are free.
+    """Extends trees of some problems from nodes `[R]` towards configurations `[R D]` by up to
+    `most` edges, as far as they are free.
 
     Returns:
         The last nodes that were added, -1 where none was.
     """
-    start = tree.nodes[rows, near]
+    start = np.stack([trees[row].nodes[node] for row, node in zip(rows, near, strict=True)])
     way = goal - start
     length = np.linalg.norm(way, axis=1)
     edges = np.clip(np.ceil(length / _STEP), 1, most).astype(int)
@@ -233,5 +296,5 @@ def _extend(
     for i, good in enumerate(outcome.num_valid // 2):
         if good:
             branch = at[begin[i] : begin[i] + good]
-            tips[i] = tree.add(int(rows[i]), int(near[i]), branch)
+            tips[i] = trees[rows[i]].add(int(near[i]), branch)
     return tips
