@@ -31,7 +31,8 @@ def prices(weights: jax.Array, scene: gnnjax.Scene) -> gnnjax.Prices:
 
 # Nothing is computed beforehand once a scene: what `read` returns is the scene itself.
 guide = gnnjax.Guide(jnp.float32(100.0), read=lambda weights, scene: scene, prices=prices)
-planner = gnnjax.load_planner("kuka_iiwa14", guide=guide)
+# Of checks that take a millisecond, so that the guide is asked first.
+planner = gnnjax.load_planner("kuka_iiwa14", guide=guide, check_cost=1000.0)
 scene = gnnjax.make_scene(centers=[[0.55, 0.0, 0.75]], half_extents=[[0.12, 0.3, 0.22]])
 plan = planner.plan(scene, [-0.9, 0.9, 0, -1, 0, 0.6, 0], [0.9, 0.9, 0, -1, 0, 0.6, 0])
 print(f"cost {plan.cost:.2f} rad, {plan.edge_checks} edge checks, certified: {plan.certified}")

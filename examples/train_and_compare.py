@@ -36,6 +36,9 @@ train_motion(TrainMotionConfig(robots=(robot,), out=folder / "run", save_every=1
 problems = generate(GenerateConfig("test", robot=robot, num_problems=10, out=folder / "test.npz"))
 for name, weights in (("field", None), ("network", folder / "run" / "weights.safetensors")):
     out = folder / f"{name}.json"
-    config = EvaluateConfig(problems=problems, json=out, robot=robot, weights=weights)
+    # Of checks that take a millisecond, so that the guide is asked first.
+    config = EvaluateConfig(
+        problems=problems, json=out, robot=robot, weights=weights, check_cost=1000.0
+    )
     print(f"{name}:")
     print_summary(evaluate(config))

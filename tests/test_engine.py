@@ -28,7 +28,7 @@ NUM = 16  # scenes, and their shares, fill one padded number: kernels are compil
 
 @pytest.fixture(scope="module")
 def planner(tiny_path):
-    options = make_options("guided", num_nodes=40, max_roadmaps=2)
+    options = make_options("guided", num_nodes=40, max_roadmaps=2, check_cost=100.0)
     return make_planner(load_robot(tiny_path), options)
 
 
@@ -43,6 +43,17 @@ def problems(planner):
 @pytest.fixture(scope="module")
 def plans(planner, problems):
     return planner.plan_batch(problems)
+
+
+@pytest.fixture(scope="module")
+def cheap(tiny_path):
+    """A planner for checks that cost less than a look at the guide."""
+    return make_planner(load_robot(tiny_path), make_options("guided"))
+
+
+@pytest.fixture(scope="module")
+def cheap_plans(cheap, problems):
+    return cheap.plan_batch(problems)
 
 
 def test_the_clock_stands_still_while_something_is_made_for_the_first_time(monkeypatch):
@@ -185,7 +196,7 @@ def test_a_batch_is_shared_out_over_cores_and_comes_out_the_same(
     assert same(found, plans)
 
 
-def test_what_no_certificate_proves_is_searched_anew(planner, problems, plans, monkeypatch):
+def test_what_no_certificate_proves_is_searched_anew(cheap, problems, cheap_plans, monkeypatch):
     plain, prove, refused = progress.certify_edges, progress.Progress.prove, []
 
     def certify(*args):
@@ -202,13 +213,14 @@ def test_what_no_certificate_proves_is_searched_anew(planner, problems, plans, m
 
     monkeypatch.setattr(progress.Progress, "prove", first_refused)
     monkeypatch.setattr(devices, "num_cores", lambda: 1)
-    found = planner.plan_batch(problems)
-    bent = [i for i, plan in enumerate(plans) if plan.success and len(plan.path) > 2]
+    found = cheap.plan_batch(problems)
+    bent = [i for i, plan in enumerate(cheap_plans) if plan.success and len(plan.path) > 2]
+    assert bent
     assert set(bent) <= set(refused)
-    for i, (plan, before) in enumerate(zip(found, plans, strict=True)):
+    for i, (plan, before) in enumerate(zip(found, cheap_plans, strict=True)):
         assert plan.success == before.success
         if plan.success:
-            check_path(planner.robot, one(problems, i), plan)
+            check_path(cheap.robot, one(problems, i), plan)
         assert (plan.edge_checks > before.edge_checks) == (i in refused)
 
 
@@ -233,6 +245,26 @@ def test_a_time_limit_acts_between_rounds(planner, problems, plans, monkeypatch)
             assert "and 8 s are over; give it more time" in plan.reason
     assert limited.rounds.sum() < free.rounds.sum() / 2
     assert limited.total_time.max() > 8
+
+
+def test_where_checks_are_cheap_trees_find_the_paths(
+    cheap, problems, plans, cheap_plans, monkeypatch
+):
+    monkeypatch.setattr(Run, "_search_roadmaps", None)  # nobody asks for it
+    found = cheap.plan_batch(problems)
+    assert same(found, cheap_plans)
+    assert sum(plan.success for plan in found) >= sum(plan.success for plan in plans)
+    for i, plan in enumerate(found):
+        if plan.success:
+            check_path(cheap.robot, one(problems, i), plan)
+            if plans[i].success:
+                assert plan.cost < 1.3 * plans[i].cost
+        else:
+            said = "no path in 200 rounds of growing trees from both ends; more effort may find one"
+            assert plan.reason == said
+    assert np.mean([p.cost for p in found if p.success]) < np.mean(
+        [p.cost for p in plans if p.success]
+    )
 
 
 def test_more_effort_is_never_worse(planner, problems, plans, monkeypatch):

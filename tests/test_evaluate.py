@@ -369,19 +369,30 @@ def test_a_batch_finds_what_single_queries_find(tiny_path, problems, results, tm
     assert without_times(batched["problems"]) == without_times(results["problems"])
 
 
-@pytest.mark.parametrize("variant", [{}, {"shorten": False, "sampled": True}])
-def test_the_guided_planner_is_warm_before_it_is_timed(tiny_path, problems, tmp_path, variant):
+@pytest.mark.parametrize(
+    ("variant", "used"),
+    [
+        ({}, "branches"),
+        ({"check_cost": 100.0}, "first later shortcuts branches"),
+        ({"shorten": False, "sampled": True}, "sampled"),
+    ],
+)
+def test_the_guided_planner_is_warm_before_it_is_timed(
+    tiny_path, problems, tmp_path, variant, used
+):
     case = config(tiny_path, problems, tmp_path / "guided.json", planner="guided", **variant)
     planner = make_planner(load_robot(tiny_path), case)
     assert isinstance(planner, GuidedPlanner)
     query = load_problems(problems, planner.robot).take(slice(1)).problems
     planner.warm_up(jax.tree.map(lambda x: x[0], query.scene))
-    own, check = planner.strategy, planner._tester(True)._check
-    functions = [own._first, own._later, own._sampled, own.looks.shortcuts, check]
-    sizes = [f._cache_size() for f in functions]
-    assert min(sizes[2:3] if case.sampled else [*sizes[:2], *sizes[3:]]) >= 1
+    own = planner.strategy
+    functions = {"first": own._first, "later": own._later, "sampled": own._sampled}
+    functions |= {"shortcuts": own.looks.shortcuts, "branches": own.looks.branches}
+    assert planner._tester(True)._check._cache_size() >= 1
+    sizes = {name: f._cache_size() for name, f in functions.items()}
+    assert sorted(name for name, size in sizes.items() if size) == sorted(used.split())
     found = evaluate(case, planner)
-    assert [f._cache_size() for f in functions] == sizes
+    assert {name: f._cache_size() for name, f in functions.items()} == sizes
     assert found["summary"]["all"]["certified"] > 0
     assert found["settings"]["sampled"] is case.sampled
     print_summary(found)

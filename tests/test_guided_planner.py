@@ -60,7 +60,9 @@ def planner(robot, network):
 
 
 def make(robot, network, **options):
-    options = make_options("guided", **{"num_nodes": NUM_NODES, "max_roadmaps": 2, **options})
+    # Where checks are cheap, there are trees in place of roadmaps.
+    own = {"num_nodes": NUM_NODES, "max_roadmaps": 2, "check_cost": 100.0}
+    options = make_options("guided", **own | options)
     guide = None if network is None else motion_guide(robot, network)
     return make_planner(robot, options, guide)
 

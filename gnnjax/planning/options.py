@@ -64,8 +64,9 @@ class PlannerOptions:
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up; 1 is the paper's way."""
     effort: int = 1
-    """For guided alone: how much is tried before giving up, in steps of four roadmaps (up to
-    max_roadmaps) and 40 rounds of search on each."""
+    """For guided alone: how much is tried before giving up, in steps of 200 rounds of two trees
+    and, where checks are dear, four roadmaps before (up to max_roadmaps), with 40 rounds of search
+    on each."""
     weights: Path | None = None
     """File of weights, folder of a checkpoint, or name of shipped weights; by default those for the
     planner. For guided: of a motion network (motion is shipped); by default the distance field of
@@ -86,7 +87,8 @@ class PlannerOptions:
     """Clearance to keep from obstacles, m; certified like the path itself."""
     check_cost: float = 1.0
     """Microseconds that a configuration check takes where the plans are used; for guided alone. Up
-    to 10, paths are shortened by testing shortcuts, beyond that by the guide alone."""
+    to 10, paths are found by growing trees, and shortened by testing shortcuts; beyond that on
+    roadmaps, which ask for fewer checks, and by the guide alone."""
     time_limit: float = np.inf
     """Seconds after which no further round is begun, or, but for guided, no further roadmap."""
 
