@@ -40,7 +40,7 @@ class QueryOptions(HoldingOptions):
     request: Path | None = None
     """MoveIt's motion plan request (.yaml), in place of start and goal."""
     seed: int = 0
-    """Seed of the roadmaps."""
+    """Seed of roadmaps and trees."""
 
 
 def read_query(

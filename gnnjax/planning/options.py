@@ -15,8 +15,9 @@ CHEAP = 10.0  # us; a check that takes longer is dearer than a look at the guide
 
 # Planners by name, and what each does.
 PLANNERS = {
-    "guided": "lazy search for the path that is cheapest by length and a guide's doubts, shortened "
-    "before it is checked",
+    "guided": "two trees, which grow by branches that a guide finds likely; where checks are dear, "
+    "lazy search for the path that is cheapest by length and its doubts, shortened before it is "
+    "checked",
     "gnn": "the paper's greedy search by the values of the guidance network",
     "gnn_lazy": "lazy search by length and the guidance network's doubts",
     "distance": "greedy search by the distance to the goal",
@@ -59,8 +60,8 @@ class PlannerOptions:
 
     planner: Annotated[str, tyro.conf.arg(help=_PLANNER_HELP)] = "guided"
     num_nodes: int = 200
-    """Nodes of a roadmap, start and goal included; of the first one, for guided. Like max_roadmaps
-    not for OMPL's planners."""
+    """Nodes of a roadmap, start and goal included; of the first one, for guided, where checks are
+    dear. Like max_roadmaps not for OMPL's planners."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up; 1 is the paper's way."""
     effort: int = 1

@@ -33,7 +33,7 @@ from gnnjax.trajectory.options import MotionOptions
 
 
 class Planner(abc.ABC):
-    """Plans queries for one robot on roadmaps.
+    """Plans queries for one robot, on roadmaps or by trees.
 
     Compiles on the first query and keeps the result on disk; `warm_up` does so beforehand. Searches
     make many small calls, and run on the host's cores also where JAX has an accelerator.
@@ -130,7 +130,7 @@ class Planner(abc.ABC):
 
         Args:
             problems: `[P, ...]`.
-            seed: of the roadmaps; the same for each problem.
+            seed: of roadmaps and trees; the same for each problem.
             trajectory: see `plan`.
 
         Raises:
