@@ -31,6 +31,7 @@ from gnnjax.measure.machine import describe_machine, ompl_version
 from gnnjax.measure.own_planner import checksums_of, own_settings
 from gnnjax.measure.result_files import (
     FORMAT,
+    OF_ARM,
     RowFiles,
     names_of,
     read_results,
@@ -169,8 +170,7 @@ def _check_processes(config: EvaluateConfig) -> None:
 
 
 # What results share that a picture compares.
-_OF_ARM = ("robot", "joints", "hold", "allow", "attach", "rest_share")
-_SAME = ("problems", _CHECKSUM, "num_problems", *_OF_ARM, "time_limit")
+_SAME = ("problems", _CHECKSUM, "num_problems", *OF_ARM, "time_limit")
 
 
 def _drawing(

@@ -15,7 +15,7 @@ import tyro
 from gnnjax.arguments import parse_arguments
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write, check_apart, check_target
-from gnnjax.measure.result_files import names_of, read_results
+from gnnjax.measure.result_files import OF_ARM, names_of, read_results
 from gnnjax.measure.table import titles_of
 
 # The tables of OMPL's ompl_benchmark_statistics.py (Moll, Sucan and Kavraki, 2015), which Planner
@@ -36,7 +36,6 @@ CREATE TABLE runs (id INTEGER PRIMARY KEY AUTOINCREMENT, experimentid INTEGER, p
 CREATE TABLE progress (runid INTEGER, time REAL, PRIMARY KEY (runid, time),
   FOREIGN KEY (runid) REFERENCES runs(id) ON DELETE CASCADE);
 """
-_OF_ARM = ("joints", "hold", "allow", "attach", "rest_share")  # settings, beside its name
 _STATUSES = ("no path", "path", "certified path")
 
 
@@ -72,7 +71,7 @@ def _names(all_settings: list[dict[str, Any]], files: list[str]) -> list[str]:
     """What planners are called: runs of one name are taken for one planner's, whatever its seed."""
     titles = titles_of(all_settings)
     apart = {
-        *("problems", "problems_sha256", "num_problems", "robot", *_OF_ARM),
+        *("problems", "problems_sha256", "num_problems", *OF_ARM),
         *("seed", "time_limit", "radius", "robot_sha256"),
     }
     own = [{k: v for k, v in settings.items() if k not in apart} for settings in all_settings]
@@ -100,7 +99,7 @@ def _write(file: Path, all_results: list[dict[str, Any]], names: list[str]) -> N
                 *(name, settings["num_problems"], settings["time_limit"]),
                 *(
                     str(settings.get(x) or None)
-                    for x in ("problems_sha256", "robot_sha256", *_OF_ARM)
+                    for x in ("problems_sha256", "robot_sha256", *OF_ARM)
                 ),
                 *(machine.get(part) for part in ("processor", "cores", "device", "gnnjax")),
             )

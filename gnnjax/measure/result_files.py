@@ -15,6 +15,8 @@ from gnnjax.roll_call import Place
 # Of the result files; raised when what they hold changes its meaning.
 FORMAT = 2
 
+OF_ARM = ("robot", "joints", "hold", "allow", "attach", "rest_share")  # settings that say which
+
 # Rows of a file that a process writes at once, at most; of a small set, there are about so many.
 _MOST_ROWS, _FILES = 1024, 256
 
