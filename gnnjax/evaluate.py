@@ -110,8 +110,12 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     place = config.cluster.place()
     parts = config.json.with_name(f"{config.json.name}.parts")
     files = [config.json, parts][: 2 if place.count == 1 else 1]  # another may have made parts
-    own = own_settings(planner, config, files) if planner else {}
-    planner = planner or planner_for(config)
+    own = {}
+    if planner is None:
+        planner = planner_for(config)
+    else:
+        _check_arm(planner, config)
+        own = own_settings(planner, config, files)
     problems = StoredProblems(config.problems, planner.robot)
     num = min(len(problems), config.num_problems or len(problems))
     settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
@@ -146,6 +150,16 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
         if results:
             draw(results)
         return results
+
+
+def _check_arm(planner: QueryPlanner, config: EvaluateConfig) -> None:
+    """Refuses a planner of another arm than the one that results would tell."""
+    told = load_arm(config).name
+    if planner.robot.name != told:
+        raise InputError(
+            f"the planner is of {planner.robot.name}, and results would tell {told}; give the "
+            "configuration the planner's robot, and what was chosen and attached of it"
+        )
 
 
 def _in_processes(

@@ -35,6 +35,8 @@ def test_rows_of_planners_that_callers_make_pass_for_no_others(
     planner = copy.copy(planner_once(load_robot(tiny_path), case))
     with pytest.raises(InputError, match=r"planner has margin 0.0, and results would tell 0.01;"):
         evaluate(dataclasses.replace(case, margin=0.01), planner)
+    with pytest.raises(InputError, match=r"is of \w+, and results would tell kuka_iiwa14; give"):
+        evaluate(dataclasses.replace(case, robot="kuka_iiwa14"), planner)
     planner.given = {"scorer": min}
     print_summary(evaluate(case, planner))
     assert "lazysp, 40 nodes, own scorer" in capsys.readouterr().out

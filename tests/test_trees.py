@@ -57,6 +57,11 @@ def grown(robot, strategy, tester, problems, time_limit=np.inf, defers=False):
     return progress, placed
 
 
+def branch(tree, parent, nodes):
+    nodes = np.asarray(nodes, np.float32)
+    return int(tree.add(np.array([parent]), np.array([len(nodes)]), nodes)[0])
+
+
 def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, strategy, tester, problems):
     progress, placed = grown(robot, strategy, tester, problems)
     solved = np.flatnonzero([path is not None for path in progress.paths])
@@ -133,7 +138,7 @@ def test_branches_on_short_ways_are_picked_and_later_others_too(monkeypatch):
         Outlook, "prices", lambda self, rows, a, b: np.zeros(a.shape[:2], np.float32)
     )
     own, other = Tree(np.zeros(2, np.float32)), Tree(np.array([4, 0], np.float32))
-    own.add(0, np.array([[0, 1], [0, 2]], np.float32))
+    branch(own, 0, [[0, 1], [0, 2]])
     goals = np.random.default_rng(3).uniform(-4, 4, (1, DRAWN, 2)).astype(np.float32)
     through = {}
     for number in (0, 1000):
@@ -142,8 +147,9 @@ def test_branches_on_short_ways_are_picked_and_later_others_too(monkeypatch):
         ends = own.nodes[near] + way * np.minimum(1, 2 / np.linalg.norm(way, axis=1))[:, None]
         through[number] = own.costs[near] + np.linalg.norm(ends - own.nodes[near], axis=1)
         through[number] += np.linalg.norm(ends - other.nodes[0], axis=1)
+    assert all(choices.sum() == DRAWN for _, choices in trees._CHOICES)
     assert len(through[0]) == 5
-    assert len(through[1000]) == 8
+    assert len(through[1000]) == 62
     assert through[0].max() < 5.5  # where the straight way is 4
     assert through[1000].max() > 6
     assert through[1000].min() < 4.5
@@ -174,9 +180,9 @@ def test_what_is_not_certified_is_cut_off_and_gone_around(
 
 def test_a_node_that_is_cut_off_takes_with_it_what_hangs_on_it():
     tree = Tree(np.zeros(1, np.float32))
-    tip = tree.add(0, np.array([[1], [2], [3]], np.float32))
-    tree.add(0, np.array([[-1]], np.float32))
-    tree.add(tip, np.array([[4]], np.float32))
+    tip = branch(tree, 0, [[1], [2], [3]])
+    branch(tree, 0, [[-1]])
+    branch(tree, tip, [[4]])
     tree.cut(2)
     q = np.array([[4], [1.6], [-2]], np.float32)
     np.testing.assert_array_equal(tree.nearest(q), [1, 1, 4])
@@ -193,7 +199,7 @@ def test_the_nearest_nodes_are_those_of_all_distances(monkeypatch):
     nodes, q = (rng.normal(size=(n, 7)).astype(np.float32) for n in (90, 12))
     tree = Tree(nodes[0])
     for node in nodes[1:]:
-        tree.add(0, node[None])
+        branch(tree, 0, node[None])
     wanted = np.linalg.norm(nodes - q[:, None], axis=-1).argmin(axis=1)
     np.testing.assert_array_equal(tree.nearest(q), wanted)
     monkeypatch.setattr(trees, "_PRODUCT", 7 * 12 * 8)  # blocks of eight nodes
@@ -202,14 +208,20 @@ def test_the_nearest_nodes_are_those_of_all_distances(monkeypatch):
 
 def test_a_tree_has_room_for_long_branches_and_knows_its_ways():
     tree = Tree(np.zeros(2, np.float32))
-    branch = np.cumsum(np.ones((300, 2), np.float32), axis=0)
-    tip = tree.add(0, branch)
-    side = tree.add(1, np.array([[1, 5]], np.float32))
+    straight = np.cumsum(np.ones((300, 2), np.float32), axis=0)
+    tip = branch(tree, 0, straight)
     np.testing.assert_array_equal(
-        tree.nodes[tree.way(tip)[::-1]], np.stack([0 * branch[0], *branch])
+        tree.nodes[tree.way(tip)[::-1]], np.stack([0 * straight[0], *straight])
     )
+    two = np.array([[1, 5], [300, 301], [300, 303]], np.float32)
+    side, beyond = tree.add(np.array([1, tip]), np.array([1, 2]), two).tolist()
     assert tree.way(side) == [side, 1, 0]
-    np.testing.assert_allclose(tree.costs[[tip, side]], [300 * 2**0.5, 2**0.5 + 4], rtol=1e-5)
+    assert tree.way(beyond)[:3] == [beyond, beyond - 1, tip]
+    np.testing.assert_allclose(
+        tree.costs[[tip, side, beyond]],
+        [300 * 2**0.5, 2**0.5 + 4, 300 * 2**0.5 + 3],
+        rtol=1e-5,
+    )
 
 
 def test_of_shortcuts_few_are_tested_and_the_shortest_way_is_that_along_all_that_hold(

@@ -20,7 +20,7 @@ from gnnjax.search.knowledge import INVALID
 
 _STRAIGHT = 1024  # straight lines that are tested at once
 _GROWN = 1024  # problems whose trees are grown together; the last of them take long
-_FEW_ROUNDS = 24  # of trees, for problems that are given up with few roadmaps
+_FEW_ROUNDS = 16  # of trees, for problems that are given up with few roadmaps
 
 # Roadmaps that are tried in the hope of a likely path before unlikely ones are tested, at effort 1.
 _ROADMAPS_A_LEVEL = 4

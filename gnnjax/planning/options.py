@@ -65,7 +65,7 @@ class PlannerOptions:
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
     """Roadmaps to try before giving up; 1 is the paper's way."""
     effort: int = 1
-    """For guided alone: how much is tried before giving up, in steps of 200 rounds of two trees
+    """For guided alone: how much is tried before giving up, in steps of 64 rounds of two trees
     and, where checks are dear, four roadmaps before (up to max_roadmaps), with 40 rounds of search
     on each."""
     weights: Path | None = None

@@ -12,20 +12,23 @@ import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.collision.blocks import runs_of
 from gnnjax.collision.sequences import Items, PlacedScenes, SequenceTester
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.pool import in_chunks
 from gnnjax.planning.progress import Progress
 from gnnjax.scene.scene import without_points
 
-MOST_ROUNDS = 200  # at effort 1
-# Of how many branches each one of a round is picked: of many, those that are likely and lie on a
-# short way. What narrow places need is unlikely, and goes around: after some rounds they are picked
-# from few, too, the first by chance, and lengths weigh less.
-_CHOICES = 2 ** np.arange(3, 8)
-DRAWN = int(_CHOICES.sum())  # branches that could be tried in a round
-_LATE_CHOICES = np.append(2 ** np.arange(7), DRAWN - 127)
-_LATE = 24  # rounds
+MOST_ROUNDS = 64  # at effort 1
+# Of how many branches each one of a round is picked, from some round on: at first of many, those
+# that are likely and lie on a short way. What narrow places need is unlikely, and goes around:
+# later more of them are picked, from few, and lengths weigh less.
+_CHOICES = (
+    (0, 2 ** np.arange(3, 8)),
+    (12, np.repeat(8, 31)),
+    (24, np.repeat(4, 62)),
+)
+DRAWN = int(_CHOICES[0][1].sum())  # branches that could be tried in a round, in any of them
 # nats that a unit of length weighs at first, and rounds after which it weighs half as much
 _LENGTH_WEIGHT, _HALVED = 4.0, 10
 _STEP = 0.5  # configuration units of a branch's edges
@@ -58,20 +61,25 @@ class Tree:
             far[:, some] = self.halves[some] - q @ self.nodes[some].T
         return far.argmin(axis=1)
 
-    def add(self, parent: int, branch: np.ndarray) -> int:
-        """Adds configurations one after the other; returns the last."""
-        begin, end = self.count, self.count + len(branch)
+    def add(self, parents: np.ndarray, sizes: np.ndarray, branches: np.ndarray) -> np.ndarray:
+        """Adds branches, each from a node of `[B]`: of `sizes` `[B]`, one or more, configurations
+        `[N D]` one after the other. Returns the last nodes `[B]`."""
+        begin, end = self.count, self.count + len(branches)
         while end > len(self.nodes):
             for name in ("nodes", "halves", "costs", "parents"):
                 had = getattr(self, name)
                 setattr(self, name, np.concatenate([had, np.zeros_like(had)]))
-        steps = np.diff(branch, axis=0, prepend=self.nodes[parent][None])
-        lengths = np.sqrt(2 * _half_squared(steps))
-        self.nodes[begin:end], self.halves[begin:end] = branch, _half_squared(branch)
-        self.costs[begin:end] = self.costs[parent] + np.cumsum(lengths)
-        self.parents[begin:end] = [parent, *range(begin, end - 1)]
+        last = begin + np.cumsum(sizes) - 1
+        first = last + 1 - sizes
+        self.parents[begin:end] = np.arange(begin, end) - 1
+        self.parents[first] = parents
+        self.nodes[begin:end], self.halves[begin:end] = branches, _half_squared(branches)
+        steps = branches - self.nodes[self.parents[begin:end]]
+        along = np.cumsum(np.sqrt(2 * _half_squared(steps)), dtype=float)  # all branches
+        before = self.costs[parents] - np.append(0, along)[first - begin]
+        self.costs[begin:end] = along + np.repeat(before, sizes)
         self.count = end
-        return end - 1
+        return last
 
     def way(self, node: int) -> list[int]:
         """Nodes from one to the root."""
@@ -170,8 +178,9 @@ def grow(
         rows, tips = rows[grown], tips[grown]
         if len(rows):
             goal = np.stack([first[row].nodes[tip] for row, tip in zip(rows, tips, strict=True)])
+            runs = zip(*runs_of(rows), strict=True)
             near = np.concatenate(
-                [second[row].nearest(q[None]) for row, q in zip(rows, goal, strict=True)]
+                [second[row].nearest(goal[at : at + num]) for row, at, num in runs]
             )
             others = _extend(progress, tester, placed, ids, second, rows, near, goal, _LONGEST[1])
             meet = [
@@ -245,7 +254,7 @@ def _likely(
     through = np.stack([tree.costs[nodes] for tree, nodes in at])
     through += np.linalg.norm(ends - starts, axis=-1) + np.linalg.norm(roots - ends, axis=-1)
     price += _LENGTH_WEIGHT / (1 + number / _HALVED) * through
-    choices = _CHOICES if number < _LATE else _LATE_CHOICES
+    choices = next(some for begin, some in reversed(_CHOICES) if number >= begin)
     first = np.cumsum(choices) - choices
     groups = np.split(price, first[1:], axis=1)
     best = first + np.stack([group.argmin(axis=1) for group in groups], axis=1)
@@ -291,10 +300,13 @@ def _extend(
     )
     outcome = tester(placed, items, len(rows), progress.clock)
     progress.count(ids[rows], outcome)
-    begin = np.cumsum(edges) - edges
-    tips = np.full(len(rows), -1)
-    for i, good in enumerate(outcome.num_valid // 2):
-        if good:
-            branch = at[begin[i] : begin[i] + good]
-            tips[i] = trees[rows[i]].add(int(near[i]), branch)
+    free = outcome.num_valid // 2
+    branches = at[step <= free[of]]
+    tips, own = np.full(len(rows), -1), np.flatnonzero(free)
+    sizes = free[own]
+    end = np.cumsum(sizes)
+    for row, begin, num in zip(*runs_of(rows[own]), strict=True):
+        some = own[begin : begin + num]
+        held = branches[end[begin] - sizes[begin] : end[begin + num - 1]]
+        tips[some] = trees[row].add(near[some], free[some], held)
     return tips
