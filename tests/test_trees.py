@@ -93,6 +93,15 @@ def test_paths_whose_certificate_is_to_wait_get_it_later(
         np.testing.assert_array_equal(path, other)
 
 
+def test_branches_may_be_tested_in_parts(robot, strategy, tester, problems, monkeypatch):
+    at_once, _ = grown(robot, strategy, tester, problems)
+    monkeypatch.setattr(trees, "_BRANCHES_AT_ONCE", 7)
+    in_parts, _ = grown(robot, strategy, tester, problems)
+    for path, other in zip(in_parts.paths, at_once.paths, strict=True):
+        np.testing.assert_array_equal(path, other)
+    np.testing.assert_array_equal(in_parts.search_checks, at_once.search_checks)
+
+
 def test_a_problem_has_the_same_path_alone(robot, strategy, tester, problems):
     together, placed = grown(robot, strategy, tester, problems)
     cut_short(together, tester, placed, np.flatnonzero([p is not None for p in together.paths]))

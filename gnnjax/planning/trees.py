@@ -34,6 +34,7 @@ _LENGTH_WEIGHT, _HALVED = 4.0, 10
 _STEP = 0.5  # configuration units of a branch's edges
 _LONGEST = 4, 16  # edges of a branch, of the first tree and the other
 _ROOM = 64  # nodes, at first
+_BRANCHES_AT_ONCE = 8192  # that are tested; of more, arrays would fill a gigabyte
 # Multiplications of a product of matrices; of more, libraries wake other cores, which takes longer
 # than the product.
 _PRODUCT = 1 << 18
@@ -280,6 +281,12 @@ def _extend(
     Returns:
         The last nodes that were added, -1 where none was.
     """
+    if len(rows) > _BRANCHES_AT_ONCE:
+        own = (progress, tester, placed, ids, trees)
+        parts = [slice(i, i + _BRANCHES_AT_ONCE) for i in range(0, len(rows), _BRANCHES_AT_ONCE)]
+        return np.concatenate(
+            [_extend(*own, *(x[part] for x in (rows, near, goal)), most) for part in parts]
+        )
     start = np.stack([trees[row].nodes[node] for row, node in zip(rows, near, strict=True)])
     way = goal - start
     length = np.linalg.norm(way, axis=1)
