@@ -8,7 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from gnnjax.arm.kinematics import joint_terms
 from gnnjax.arm.robot import load_robot
+from gnnjax.collision import spheres
 from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
 from gnnjax.collision.edges import bisection_order
 from gnnjax.collision.edges import test_edges as cut_and_test
@@ -113,10 +115,65 @@ def assert_verdicts_agree(valid, gaps, strict=0.0):
     assert not wrong.any(), f"{wrong.sum()} disagree, C distances {gaps[wrong][:5]}"
 
 
+@pytest.fixture
+def in_tables(monkeypatch):
+    """As of arms with many spheres: several passes, and tables of pairs with some in a row."""
+    for name, value in {"_MOST_IN_CODE": 0, "_PAIRS_A_ROW": 16, "_SPHERES_A_PASS": 16}.items():
+        monkeypatch.setattr(spheres, name, value)
+
+
+def test_tables_say_what_straight_line_code_does(capsules, request):
+    rng = np.random.default_rng(5)
+    scene = random_boxes(rng, 3, rotated=True)
+    q = random_configurations(rng, capsules, 600)
+    q[5, 1] = np.nan
+    found = []
+    for _ in range(2):
+        checker = make_checker(capsules)
+        clear = checker.levels.second.clear_of_itself
+        found.append(
+            (
+                jax.jit(checker.check_configurations)(scene, q),
+                jax.jit(checker.clearance)(scene, q),
+                jax.jit(clear)(q[:64], np.arange(64) % 3 > 0),
+            )
+        )
+        request.getfixturevalue("in_tables")
+    for code, tables in zip(*found, strict=True):
+        same = np.asarray(tables, float), np.asarray(code, float)
+        np.testing.assert_allclose(*same, atol=1e-6)
+    assert 0 < found[0][0].mean() < 1
+
+
+def test_a_row_is_of_two_links_and_its_balls_hold_its_spheres(capsules, in_tables):
+    table = spheres.pair_table(capsules)
+    assert {frozenset(x) for x in table.pairs.reshape(-1, 2).tolist()} == {
+        frozenset(x) for x in capsules.self_pairs.tolist()
+    }
+    for q in random_configurations(np.random.default_rng(6), capsules, 20):
+        centers = np.array(
+            spheres.sphere_centers(capsules, joint_terms(capsules, jnp.asarray(q, jnp.float32)))
+        )
+        far, apart = (
+            np.linalg.norm(centers[x[..., 0]] - centers[x[..., 1]], axis=-1)
+            for x in (table.near, table.pairs)
+        )
+        gaps = (apart - capsules.geom_radii[table.pairs].sum(axis=-1)).min(axis=1)
+        assert (gaps >= far - table.reach - 1e-6).all()
+
+
 @pytest.mark.parametrize(
     ("name", "rotated"), [("kinova_gen3", True), ("kuka_iiwa14", False), ("franka_panda", False)]
 )
 def test_shipped_arms_match_c_engine(name, rotated):
+    assert_matches_c_engine(name, rotated)
+
+
+def test_shipped_arms_match_c_engine_by_tables(in_tables):
+    assert_matches_c_engine("franka_panda", False)
+
+
+def assert_matches_c_engine(name, rotated):
     robot, rng = load_robot(name), np.random.default_rng(0)
     check = jax.jit(make_checker(robot, axis_aligned=not rotated).check_configurations)
     strict = 2 * SIMPLER  # of two parts

@@ -83,9 +83,11 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
 
         return jnp.stack(_with_bits(words, hits, joints, turns))
 
-    def touching_itself(q: Float[Array, "C D"], turns: jax.Array) -> UInt[Array, "V C"]:
-        """Bit u % WORD of word u // WORD: spheres of the two of `Robot.part_pairs[u]` touch."""
-        joints = joint_terms(robot, q)
+    def touching_itself(q: Float[Array, "C D"], wanted: Bool[Array, " C"]) -> Bool[Array, "U C"]:
+        """Whether spheres of the two of `Robot.part_pairs[u]` touch, where it is wanted."""
+        joints, num, turns = joint_terms(robot, q), couples.shape[1], jnp.any(wanted)
+        if passes.table is not None:
+            return in_table(joints, num, wanted)
         words = [jnp.zeros(len(q), jnp.uint32)] * -(-couples.shape[1] // WORD)
         for pairs in passes.self_pairs:
 
@@ -94,8 +96,21 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
                     both = pair_of[part_of[i], part_of[j]]
                     yield both, ~(squared > (radii[i] + radii[j]) ** 2)
 
-            words = _with_bits(words, hits, joints, turns)
-        return jnp.stack(words)
+            words = _with_bits(words, hits, joints, turns.astype(jnp.int32))
+        return bits_of(jnp.stack(words), num) & wanted
+
+    def in_table(joints: Joints, num: int, wanted: jax.Array) -> jax.Array:
+        assert passes.table is not None
+        pairs = passes.table.pairs
+        reach = jnp.asarray(robot.geom_radii[pairs].sum(axis=-1) ** 2, jnp.float32)
+        both = [[pair_of[part_of[i], part_of[j]] for i, j in row] for row in pairs.tolist()]
+        number_of = jnp.asarray(both)
+
+        def fold(found: jax.Array, row: jax.Array, squared: jax.Array) -> jax.Array:
+            return found.at[number_of[row]].max(~(squared > reach[row][:, None]) & wanted)
+
+        nothing = jnp.zeros((num, len(wanted)), bool)
+        return passes.over_table(joints, nothing, fold, lambda _: wanted)
 
     def clear_of_obstacles(
         placed: Placed,
@@ -138,8 +153,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
 
         if not couples.size:
             return jnp.ones(len(q), bool)
-        words = touching_itself(q, jnp.any(wanted).astype(jnp.int32))
-        return test_pairs(bits_of(words, couples.shape[1]) & wanted, gaps)
+        return test_pairs(touching_itself(q, wanted), gaps)
 
     return PartTests(clear_of_obstacles, clear_of_itself)
 

@@ -4,11 +4,13 @@ Geoms that no joint moves (an arm's base) are not tested against obstacles: no c
 the outcome. `boxes_clear` tests them, once a scene.
 """
 
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from gnnjax.arm.kinematics import Vector, dot, joint_terms, subtract
@@ -122,6 +124,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         start: jax.Array,
         with_obstacle: Callable[[jax.Array, jax.Array, Iterator], jax.Array],
         with_itself: Callable[[jax.Array, Iterator], jax.Array],
+        with_row: Callable[[jax.Array, jax.Array, jax.Array], jax.Array],
         worth_going_on: Callable[[jax.Array], jax.Array],
     ) -> jax.Array:
         """Folds what all passes say of configurations.
@@ -133,6 +136,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             start: `[G T]` what to begin with.
             with_obstacle: `(value, number of the obstacle, distances) -> value`.
             with_itself: `(value, distances) -> value`.
+            with_row: the same of a row of `Passes.table`, see `Passes.over_table`.
             worth_going_on: of what values pairs of the arm's own spheres are to be looked at.
         """
         joints = joint_terms(robot, q)
@@ -141,15 +145,19 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         # One obstacle a pass. With several, the compiler finds out what they share and the kernel
         # is a sixth faster, but it takes three times as long to compile. One array comes out, or
         # the compiler would compute all of it for each.
-        def one_pass(i, value):
+        def one_pass(i, value, spheres):
             # The barrier keeps the compiler from moving the kinematics out of the loop, which
             # would send every sphere's coordinates through memory: three times slower.
             fresh, value = jax.lax.optimization_barrier((joints, value))
             obstacle = jax.tree.map(lambda x: x[i], own)
-            return with_obstacle(value, i, passes.to_obstacle(fresh, obstacle))
+            return with_obstacle(value, i, passes.to_obstacle(fresh, obstacle, spheres))
 
-        most = jnp.max(placed.num[owner], initial=0)
-        value = jax.lax.fori_loop(0, most, one_pass, start)
+        most, value = jnp.max(placed.num[owner], initial=0), start
+        for spheres in passes.groups:
+            some = functools.partial(one_pass, spheres=spheres)
+            value = jax.lax.fori_loop(0, most, some, value)
+        if passes.table is not None:
+            return passes.over_table(joints, value, with_row, worth_going_on)
         for pairs in passes.self_pairs:
 
             def self_turn(_, value, pairs=pairs):
@@ -160,6 +168,18 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             turns = jnp.any(worth_going_on(value)).astype(jnp.int32)
             value = jax.lax.fori_loop(0, turns, self_turn, value)
         return value
+
+    # Of the pairs of each row of a table the squared sums of radii; of those inside -1 where there
+    # are none, which nothing is closer than.
+    if passes.table is not None:
+        outside, inside = (
+            x[passes.table.pairs] for x in (robot.geom_radii, robot.geom_inner_radii)
+        )
+        some = (inside > 0).all(axis=-1)
+        outer_squares = (outside.sum(axis=-1) ** 2)[..., None, None].astype(np.float32)
+        inner_squares = np.where(some, inside.sum(axis=-1) ** 2, -1)[..., None, None].astype(
+            np.float32
+        )
 
     def first(
         placed: Placed, owner: Int[Array, " G"], q: Float[Array, "G T D"]
@@ -195,8 +215,17 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             )
             return found(pairs, ITSELF, word)
 
+        def with_row(word, number, squared):
+            touches = jnp.any(~(squared > jnp.asarray(outer_squares)[number]), axis=0)
+            if not is_open:
+                return jnp.where(touches, word | BLOCKED, word)
+            proven = jnp.any(~(squared > jnp.asarray(inner_squares)[number]), axis=0)
+            return word | jnp.where(proven, BLOCKED, jnp.where(touches, ITSELF, jnp.uint32(0)))
+
         start = jnp.zeros(q.shape[:-1], jnp.uint32)
-        return over_all(placed, owner, q, start, with_obstacle, with_itself, lambda w: w < BLOCKED)
+        return over_all(
+            placed, owner, q, start, with_obstacle, with_itself, with_row, lambda w: w < BLOCKED
+        )
 
     # Nobody asks it of an arm whose spheres leave nothing open.
     second = part_tests(robot, passes) if is_open else None
@@ -263,10 +292,20 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         def with_itself(value, distances):
             return smallest(value, (jnp.sqrt(x) - radii[i] - radii[j] for i, j, x in distances))
 
+        def with_row(value, number, squared):
+            reach = jnp.sqrt(jnp.asarray(outer_squares)[number])
+            return smallest(value, jnp.sqrt(squared) - reach)
+
         flat = q.reshape(1, -1, q.shape[-1])
         start = jnp.full(flat.shape[:-1], jnp.inf, q.dtype)
         found = over_all(
-            *placed_alone(scene), flat, start, with_obstacle, with_itself, lambda x: x == x
+            *placed_alone(scene),
+            flat,
+            start,
+            with_obstacle,
+            with_itself,
+            with_row,
+            lambda x: x == x,
         )
         return found.reshape(q.shape[:-1])
 

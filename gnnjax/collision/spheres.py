@@ -5,7 +5,7 @@ Configurations come in G groups of T that share a scene. What a pass needs of an
 out of a table once a group, and all configurations of the group are computed side by side with it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -21,6 +21,7 @@ from gnnjax.arm.kinematics import (
     Vector,
     body_frames,
     dot,
+    joint_terms,
     subtract,
     transform,
 )
@@ -31,7 +32,11 @@ from gnnjax.scene.scene import Scene, last_box, rotation_matrices
 # Pairs of the arm's own spheres in one pass. The compiler turns a pass into a single loop over the
 # batch. It splits what exceeds 2,000 operations into functions, and where it fails to join them
 # again, the loop runs several times slower.
-_SELF_PAIRS_A_PASS = 120
+_SELF_PAIRS_A_PASS, _SPHERES_A_PASS = 120, 64
+# Of more pairs the code would take minutes to compile; they are looked up in tables instead.
+_MOST_IN_CODE = 1200
+_PAIRS_A_ROW = 64  # of a table
+_ROUNDED = 1e-4  # m; by more than that, rounding moves no centre
 FAR = 1e6  # m; where obstacles are that do not exist
 
 # What spheres say of a configuration is a word of 32 bits: 0 where they prove it free. Bit
@@ -109,6 +114,55 @@ def sphere_centers(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Ve
     return points
 
 
+class PairTable(NamedTuple):
+    """Pairs of an arm's own spheres in R rows, each of spheres of two links: for arms that have too
+    many for straight-line code."""
+
+    pairs: Int[np.ndarray, "R C 2"]
+    near: Int[np.ndarray, "R 2"]  # a sphere of either link
+    reach: Float[np.ndarray, " R"]  # m; where these are farther apart, no pair of the row touches
+
+
+def pair_table(robot: Robot) -> PairTable:
+    """All pairs of an arm's spheres that may touch."""
+    link = _links(robot)
+    with jax.ensure_compile_time_eval():
+        joints = joint_terms(robot, jnp.asarray(robot.home, jnp.float32))
+        centers = np.array(sphere_centers(robot, joints), float)
+
+    def around(spheres: np.ndarray) -> tuple[int, float]:
+        """One of some spheres of a link, and the radius around its centre that holds them all."""
+        apart = np.linalg.norm(centers[spheres, None] - centers[spheres], axis=-1)
+        reach = (apart + robot.geom_radii[spheres]).max(axis=1)
+        return int(spheres[reach.argmin()]), reach.min()
+
+    swap = (link[robot.self_pairs[:, 0]] > link[robot.self_pairs[:, 1]])[:, None]
+    pairs = np.where(swap, robot.self_pairs[:, ::-1], robot.self_pairs)
+    couples, of = np.unique(link[pairs], axis=0, return_inverse=True)
+    rows = []
+    for couple in range(len(couples)):
+        own = pairs[of.reshape(-1) == couple]
+        num = -(-len(own) // _PAIRS_A_ROW)
+        for row in np.array_split(own, num):
+            (first, reach), (second, other) = (around(np.unique(x)) for x in row.T)
+            full = np.pad(row, ((0, _PAIRS_A_ROW - len(row)), (0, 0)), "edge")
+            rows.append((full, (first, second), reach + other + _ROUNDED))
+    pairs, near, reach = (np.array(x) for x in zip(*rows, strict=True))
+    return PairTable(pairs.astype(np.int32), near.astype(np.int32), reach.astype(np.float32))
+
+
+def _links(robot: Robot) -> np.ndarray:
+    """Of each sphere the body whose joint moves it, of which those of one stay where they are
+    among each other; -1 for those that no joint moves."""
+    moves: list[int] = []
+    for number, body in enumerate(robot.bodies):
+        moves.append(number if body.joints else -1 if body.parent < 0 else moves[body.parent])
+    return np.array([-1 if b < 0 else moves[b] for b in robot.geom_bodies.tolist()])
+
+
+_Folded = TypeVar("_Folded")
+
+
 class Passes:
     """The passes of one arm."""
 
@@ -116,10 +170,15 @@ class Passes:
         self._robot = robot
         # The spheres that joints move.
         self.moving = np.flatnonzero(moved_by_joint(robot)).tolist()
+        # Those that are looked at together.
+        num = -(-len(self.moving) // _SPHERES_A_PASS)
+        self.groups = [x.tolist() for x in np.array_split(self.moving, num)] if num else []
         self._bodies = robot.geom_bodies.tolist()
         num = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
         # Of each pass over pairs of the arm's own spheres, the pairs.
         self.self_pairs = np.array_split(robot.self_pairs, num) if num else []
+        # All pairs once more, for what would take too long to compile as passes.
+        self.table = pair_table(robot) if len(robot.self_pairs) > _MOST_IN_CODE else None
 
     def to_obstacle(
         self, joints: Joints, obstacle: Obstacle, spheres: Sequence[int] | None = None
@@ -143,3 +202,39 @@ class Passes:
         for i, j in pairs.tolist():
             offset = subtract(points[i], points[j])
             yield i, j, dot(offset, offset)
+
+    def over_table(
+        self,
+        joints: Joints,
+        value: _Folded,
+        fold: Callable[[_Folded, jax.Array, jax.Array], _Folded],
+        is_wanted: Callable[[_Folded], jax.Array],
+    ) -> _Folded:
+        """Folds what the rows of `table` say.
+
+        Args:
+            joints: of configurations `[...]`.
+            value: what to begin with.
+            fold: `(value, number of the row, squared distances of its pairs [C ...]) -> value`.
+            is_wanted: `value -> [...]`, of which configurations anything is to be found out.
+        """
+        assert self.table is not None
+        pairs, near, reach = map(jnp.asarray, self.table)
+        shape = jnp.shape(joints.cos)[1:]
+        points = sphere_centers(self._robot, joints)
+        centers = jnp.stack([jnp.stack([jnp.broadcast_to(x, shape) for x in p]) for p in points])
+
+        def squared(i: jax.Array, j: jax.Array) -> jax.Array:
+            return jnp.sum((centers[i] - centers[j]) ** 2, axis=-len(shape) - 1)
+
+        def row(number: jax.Array, value: _Folded) -> _Folded:
+            apart = squared(*near[number]) > reach[number] ** 2  # NaN is not
+            i, j = pairs[number].T
+            return jax.lax.cond(
+                jnp.any(~apart & is_wanted(value)),
+                lambda value: fold(value, number, squared(i, j)),
+                lambda value: value,
+                value,
+            )
+
+        return jax.lax.fori_loop(0, len(pairs), row, value)

@@ -8,6 +8,8 @@ free, in the guide's eyes, and lie on a short way. What a problem's trees are do
 others.
 """
 
+import functools
+
 import jax
 import numpy as np
 
@@ -282,11 +284,9 @@ def _extend(
         The last nodes that were added, -1 where none was.
     """
     if len(rows) > _BRANCHES_AT_ONCE:
-        own = (progress, tester, placed, ids, trees)
+        own = functools.partial(_extend, progress, tester, placed, ids, trees, most=most)
         parts = [slice(i, i + _BRANCHES_AT_ONCE) for i in range(0, len(rows), _BRANCHES_AT_ONCE)]
-        return np.concatenate(
-            [_extend(*own, *(x[part] for x in (rows, near, goal)), most) for part in parts]
-        )
+        return np.concatenate([own(rows[part], near[part], goal[part]) for part in parts])
     start = np.stack([trees[row].nodes[node] for row, node in zip(rows, near, strict=True)])
     way = goal - start
     length = np.linalg.norm(way, axis=1)
