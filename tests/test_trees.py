@@ -15,7 +15,7 @@ from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import path_length
 from gnnjax.planning.shortcuts import _POINTS, _cut, _shortest, _spread, cut_short
-from gnnjax.planning.trees import DRAWN, Outlook, Tree, _likely, grow
+from gnnjax.planning.trees import CHEAPLY, DRAWN, SPARINGLY, Outlook, Tree, _likely, grow
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
 
@@ -53,7 +53,7 @@ def grown(robot, strategy, tester, problems, time_limit=np.inf, defers=False):
     progress.defers = defers
     placed, ids = tester.place(progress.problems.scene), np.arange(len(problems.start))
     outlook = Outlook(progress, strategy, ids, 2)
-    grow(robot, progress, tester, placed, ids, outlook, 0, trees.MOST_ROUNDS, time_limit)
+    grow(robot, progress, tester, placed, ids, outlook, 0, CHEAPLY, CHEAPLY.rounds, time_limit)
     return progress, placed
 
 
@@ -127,7 +127,9 @@ def test_the_guide_picks_the_branches(robot, strategy, tester, problems):
         robot.joint_lower, robot.joint_upper, (len(rows), DRAWN, 3)
     )
     outlook = Outlook(progress, strategy, rows, 2)
-    row, near, picked = _likely(own, others, outlook, rows, goals.astype(np.float32), 0)
+    row, near, picked = _likely(
+        own, others, outlook, rows, goals.astype(np.float32), 0, CHEAPLY.choices[0][1]
+    )
     assert not near.any()
     assert sorted(set(row.tolist())) == rows.tolist()
     every = np.repeat(rows, DRAWN), goals.reshape(-1, 3)
@@ -150,13 +152,15 @@ def test_branches_on_short_ways_are_picked_and_later_others_too(monkeypatch):
     branch(own, 0, [[0, 1], [0, 2]])
     goals = np.random.default_rng(3).uniform(-4, 4, (1, DRAWN, 2)).astype(np.float32)
     through = {}
-    for number in (0, 1000):
-        _, near, picked = _likely([own], [other], Outlook(), np.zeros(1, int), goals, number)
+    for number, choices in (0, CHEAPLY.choices[0][1]), (1000, CHEAPLY.choices[-1][1]):
+        own_row = np.zeros(1, int)
+        _, near, picked = _likely([own], [other], Outlook(), own_row, goals, number, choices)
         way = picked - own.nodes[near]
         ends = own.nodes[near] + way * np.minimum(1, 2 / np.linalg.norm(way, axis=1))[:, None]
         through[number] = own.costs[near] + np.linalg.norm(ends - own.nodes[near], axis=1)
         through[number] += np.linalg.norm(ends - other.nodes[0], axis=1)
-    assert all(choices.sum() == DRAWN for _, choices in trees._CHOICES)
+    for schedule in (CHEAPLY, SPARINGLY):
+        assert all(choices.sum() == DRAWN for _, choices in schedule.choices)
     assert len(through[0]) == 5
     assert len(through[1000]) == 62
     assert through[0].max() < 5.5  # where the straight way is 4

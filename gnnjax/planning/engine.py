@@ -15,12 +15,11 @@ from gnnjax.planning.options import CHEAP
 from gnnjax.planning.pool import Pool, sizes_up_to
 from gnnjax.planning.query import Plan
 from gnnjax.planning.shortcuts import cut_short
-from gnnjax.planning.trees import DRAWN, MOST_ROUNDS, Outlook, grow
+from gnnjax.planning.trees import CHEAPLY, DRAWN, SPARINGLY, Outlook, grow
 from gnnjax.search.knowledge import INVALID
 
 _STRAIGHT = 1024  # straight lines that are tested at once
 _GROWN = 1024  # problems whose trees are grown together; the last of them take long
-_FEW_ROUNDS = 16  # of trees, for problems that are given up with few roadmaps
 
 # Roadmaps that are tried in the hope of a likely path before unlikely ones are tested, at effort 1.
 _ROADMAPS_A_LEVEL = 4
@@ -88,7 +87,10 @@ class Run(Attempts):
 
     def _grow_trees(self) -> None:
         """Two trees for each problem that has no path."""
-        rounds = MOST_ROUNDS * self.options.effort if self.most_roadmaps is None else _FEW_ROUNDS
+        schedule = CHEAPLY if self.options.check_cost <= CHEAP else SPARINGLY
+        rounds = schedule.rounds * self.options.effort
+        if self.most_roadmaps is not None:
+            rounds = schedule.few
         ids = self._open()
         ends = np.concatenate([self.problems.start[ids], self.problems.goal[ids]], axis=1)
         ids = ids[np.isfinite(ends).all(axis=1)]  # of others there is nothing to grow from
@@ -104,6 +106,7 @@ class Run(Attempts):
                 some,
                 outlook,
                 self.seed,
+                schedule,
                 rounds,
                 self.options.time_limit,
             )

@@ -9,6 +9,7 @@ others.
 """
 
 import functools
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -21,16 +22,24 @@ from gnnjax.planning.pool import in_chunks
 from gnnjax.planning.progress import Progress
 from gnnjax.scene.scene import without_points
 
-MOST_ROUNDS = 64  # at effort 1
-# Of how many branches each one of a round is picked, from some round on: at first of many, those
-# that are likely and lie on a short way. What narrow places need is unlikely, and goes around:
-# later more of them are picked, from few, and lengths weigh less.
-_CHOICES = (
-    (0, 2 ** np.arange(3, 8)),
-    (12, np.repeat(8, 31)),
-    (24, np.repeat(4, 62)),
-)
-DRAWN = int(_CHOICES[0][1].sum())  # branches that could be tried in a round, in any of them
+_AT_FIRST = 2 ** np.arange(3, 8)
+DRAWN = int(_AT_FIRST.sum())  # branches that could be tried in a round
+
+
+class Schedule(NamedTuple):
+    """How much is tried in the rounds of two trees."""
+
+    rounds: int  # at effort 1
+    few: int  # for problems that are given up with few roadmaps
+    # Of how many branches each one of a round is picked, from some round on: at first of many,
+    # those that are likely and lie on a short way. What narrow places need is unlikely, and goes
+    # around: later they are picked from few, and lengths weigh less.
+    choices: tuple[tuple[int, np.ndarray], ...]
+
+
+# More branches than at first where checks are cheap, and a round costs as much with few.
+CHEAPLY = Schedule(64, 16, ((0, _AT_FIRST), (12, np.repeat(8, 31)), (24, np.repeat(4, 62))))
+SPARINGLY = Schedule(200, 24, ((0, _AT_FIRST), (24, np.append(2 ** np.arange(7), DRAWN - 127))))
 # nats that a unit of length weighs at first, and rounds after which it weighs half as much
 _LENGTH_WEIGHT, _HALVED = 4.0, 10
 _STEP = 0.5  # configuration units of a branch's edges
@@ -144,6 +153,7 @@ def grow(
     ids: np.ndarray,
     outlook: Outlook,
     seed: int,
+    schedule: Schedule,
     rounds: int,
     time_limit: float,
 ) -> None:
@@ -157,6 +167,7 @@ def grow(
         ids: of the problems.
         outlook: for the same problems.
         seed: of the random configurations, the same for all.
+        schedule: has the branches of a round.
         rounds: the most.
         time_limit: s, after which a problem's trees are left.
     """
@@ -175,7 +186,8 @@ def grow(
         progress.rounds[ids[open_rows]] += 1
         first, second = trees if number % 2 == 0 else trees[::-1]
         goal = (lower[open_rows, None] + drawn * span[open_rows, None]).astype(np.float32)
-        rows, near, goal = _likely(first, second, outlook, open_rows, goal, number)
+        choices = next(some for begin, some in reversed(schedule.choices) if number >= begin)
+        rows, near, goal = _likely(first, second, outlook, open_rows, goal, number, choices)
         tips = _extend(progress, tester, placed, ids, first, rows, near, goal, _LONGEST[0])
         grown = tips >= 0
         rows, tips = rows[grown], tips[grown]
@@ -229,6 +241,7 @@ def _likely(
     rows: np.ndarray,
     goals: np.ndarray,
     number: int,
+    choices: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the branches towards configurations `[R DRAWN D]` those that are likely to be free, and to
     lie on short ways to the roots of the other trees.
@@ -242,6 +255,7 @@ def _likely(
         rows: of problems.
         goals: configurations.
         number: of the round.
+        choices: of how many each branch is the best.
 
     Returns:
         Of each branch its problem's row, the node that it leaves, and where to.
@@ -257,7 +271,6 @@ def _likely(
     through = np.stack([tree.costs[nodes] for tree, nodes in at])
     through += np.linalg.norm(ends - starts, axis=-1) + np.linalg.norm(roots - ends, axis=-1)
     price += _LENGTH_WEIGHT / (1 + number / _HALVED) * through
-    choices = next(some for begin, some in reversed(_CHOICES) if number >= begin)
     first = np.cumsum(choices) - choices
     groups = np.split(price, first[1:], axis=1)
     best = first + np.stack([group.argmin(axis=1) for group in groups], axis=1)
