@@ -67,7 +67,7 @@ class PlannerOptions:
     effort: int = 1
     """For guided alone: how much is tried before giving up, in steps of 64 rounds of two trees;
     where checks are dear, four roadmaps (up to max_roadmaps), with 40 rounds of search on each, and
-    200 rounds of trees with fewer branches."""
+    100 rounds of trees with fewer branches."""
     weights: Path | None = None
     """File of weights, folder of a checkpoint, or name of shipped weights; by default those for the
     planner. For guided: of a motion network (motion is shipped); by default the distance field of

@@ -39,7 +39,7 @@ class Schedule(NamedTuple):
 
 # More branches than at first where checks are cheap, and a round costs as much with few.
 CHEAPLY = Schedule(64, 16, ((0, _AT_FIRST), (12, np.repeat(8, 31)), (24, np.repeat(4, 62))))
-SPARINGLY = Schedule(200, 24, ((0, _AT_FIRST), (24, np.append(2 ** np.arange(7), DRAWN - 127))))
+SPARINGLY = Schedule(100, 24, ((0, _AT_FIRST), (24, np.append(2 ** np.arange(7), DRAWN - 127))))
 # nats that a unit of length weighs at first, and rounds after which it weighs half as much
 _LENGTH_WEIGHT, _HALVED = 4.0, 10
 _STEP = 0.5  # configuration units of a branch's edges
