@@ -130,11 +130,13 @@ def test_tables_say_what_straight_line_code_does(capsules, request):
     found = []
     for _ in range(2):
         checker = make_checker(capsules)
+        assert checker.levels is not None
         clear = checker.levels.second.clear_of_itself
         found.append(
             (
                 jax.jit(checker.check_configurations)(scene, q),
                 jax.jit(checker.clearance)(scene, q),
+                jax.jit(checker.clearance)(random_boxes(rng, 0), q),  # to itself alone
                 jax.jit(clear)(q[:64], np.arange(64) % 3 > 0),
             )
         )

@@ -110,7 +110,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
             return found.at[number_of[row]].max(~(squared > reach[row][:, None]) & wanted)
 
         nothing = jnp.zeros((num, len(wanted)), bool)
-        return passes.over_table(joints, nothing, fold, lambda _: wanted)
+        return passes.over_table(joints, nothing, fold, lambda _, gap: wanted & ~(gap > 0))
 
     def clear_of_obstacles(
         placed: Placed,

@@ -126,6 +126,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         with_itself: Callable[[jax.Array, Iterator], jax.Array],
         with_row: Callable[[jax.Array, jax.Array, jax.Array], jax.Array],
         worth_going_on: Callable[[jax.Array], jax.Array],
+        row_is_wanted: Callable[[jax.Array, jax.Array], jax.Array],
     ) -> jax.Array:
         """Folds what all passes say of configurations.
 
@@ -138,6 +139,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             with_itself: `(value, distances) -> value`.
             with_row: the same of a row of `Passes.table`, see `Passes.over_table`.
             worth_going_on: of what values pairs of the arm's own spheres are to be looked at.
+            row_is_wanted: and those of a row.
         """
         joints = joint_terms(robot, q)
         own = Obstacle(*jax.tree.map(lambda x: x[..., owner, None], tuple(placed)[:-1]))
@@ -157,7 +159,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             some = functools.partial(one_pass, spheres=spheres)
             value = jax.lax.fori_loop(0, most, some, value)
         if passes.table is not None:
-            return passes.over_table(joints, value, with_row, worth_going_on)
+            return passes.over_table(joints, value, with_row, row_is_wanted)
         for pairs in passes.self_pairs:
 
             def self_turn(_, value, pairs=pairs):
@@ -224,7 +226,15 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
 
         start = jnp.zeros(q.shape[:-1], jnp.uint32)
         return over_all(
-            placed, owner, q, start, with_obstacle, with_itself, with_row, lambda w: w < BLOCKED
+            placed,
+            owner,
+            q,
+            start,
+            with_obstacle,
+            with_itself,
+            with_row,
+            lambda word: word < BLOCKED,
+            lambda word, gap: (word < BLOCKED) & ~(gap > 0),
         )
 
     # Nobody asks it of an arm whose spheres leave nothing open.
@@ -306,6 +316,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             with_itself,
             with_row,
             lambda x: x == x,
+            lambda x, gap: ~(gap > x),
         )
         return found.reshape(q.shape[:-1])
 

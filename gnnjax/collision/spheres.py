@@ -120,7 +120,7 @@ class PairTable(NamedTuple):
 
     pairs: Int[np.ndarray, "R C 2"]
     near: Int[np.ndarray, "R 2"]  # a sphere of either link
-    reach: Float[np.ndarray, " R"]  # m; where these are farther apart, no pair of the row touches
+    reach: Float[np.ndarray, " R"]  # m; how much nearer the surfaces of a pair may be than these
 
 
 def pair_table(robot: Robot) -> PairTable:
@@ -208,7 +208,7 @@ class Passes:
         joints: Joints,
         value: _Folded,
         fold: Callable[[_Folded, jax.Array, jax.Array], _Folded],
-        is_wanted: Callable[[_Folded], jax.Array],
+        is_wanted: Callable[[_Folded, jax.Array], jax.Array],
     ) -> _Folded:
         """Folds what the rows of `table` say.
 
@@ -216,7 +216,8 @@ class Passes:
             joints: of configurations `[...]`.
             value: what to begin with.
             fold: `(value, number of the row, squared distances of its pairs [C ...]) -> value`.
-            is_wanted: `value -> [...]`, of which configurations anything is to be found out.
+            is_wanted: `(value, gap) -> [...]`, at which configurations a row is to be looked at
+                whose pairs are apart by `gap`, m, at least. The gap may be NaN.
         """
         assert self.table is not None
         pairs, near, reach = map(jnp.asarray, self.table)
@@ -228,10 +229,10 @@ class Passes:
             return jnp.sum((centers[i] - centers[j]) ** 2, axis=-len(shape) - 1)
 
         def row(number: jax.Array, value: _Folded) -> _Folded:
-            apart = squared(*near[number]) > reach[number] ** 2  # NaN is not
+            gap = jnp.sqrt(squared(*near[number])) - reach[number]
             i, j = pairs[number].T
             return jax.lax.cond(
-                jnp.any(~apart & is_wanted(value)),
+                jnp.any(is_wanted(value, gap)),
                 lambda value: fold(value, number, squared(i, j)),
                 lambda value: value,
                 value,
