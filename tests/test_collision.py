@@ -147,6 +147,27 @@ def test_tables_say_what_straight_line_code_does(capsules, request):
     assert 0 < found[0][0].mean() < 1
 
 
+def test_the_clearance_of_small_balls_far_from_each_other_is_that_by_tables_too(tmp_path, request):
+    link = '<body pos="0 0 {}"><joint axis="{}" range="-3 3"/><geom size="0.06" pos="0 0 0.5"/>'
+    links = [link.format(*x) for x in ((0, "0 1 0"), (0.5, "1 0 0"), (0.5, "0 1 0"))]
+    path = tmp_path / "balls.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><geom size="0.03" pos="0 0 0.1"/>'
+        f"{''.join(links)}{'</body>' * 3}</worldbody></mujoco>"
+    )
+    balls, rng, found = load_robot(path), np.random.default_rng(7), []
+    q = random_configurations(rng, balls, 400)
+    for _ in range(2):
+        checker = make_checker(balls)
+        tests = checker.clearance, checker.check_configurations
+        found.append([np.asarray(jax.jit(test)(random_boxes(rng, 0), q), float) for test in tests])
+        request.getfixturevalue("in_tables")
+    for code, tables in zip(*found, strict=True):
+        np.testing.assert_allclose(tables, code, atol=1e-6)
+    assert (found[0][0] > 0.3).any()
+    assert (found[0][1] == 0).any()
+
+
 def test_a_row_is_of_two_links_and_its_balls_hold_its_spheres(capsules, in_tables):
     table = spheres.pair_table(capsules)
     assert {frozenset(x) for x in table.pairs.reshape(-1, 2).tolist()} == {
