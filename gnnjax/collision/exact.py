@@ -101,13 +101,11 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
 
     def in_table(joints: Joints, num: int, wanted: jax.Array) -> jax.Array:
         assert passes.table is not None
-        pairs = passes.table.pairs
-        reach = jnp.asarray(robot.geom_radii[pairs].sum(axis=-1) ** 2, jnp.float32)
-        both = [[pair_of[part_of[i], part_of[j]] for i, j in row] for row in pairs.tolist()]
-        number_of = jnp.asarray(both)
+        pairs, squares = passes.table.pairs.tolist(), jnp.asarray(passes.table.squares)
+        number_of = jnp.asarray([[pair_of[part_of[i], part_of[j]] for i, j in x] for x in pairs])
 
         def fold(found: jax.Array, row: jax.Array, squared: jax.Array) -> jax.Array:
-            return found.at[number_of[row]].max(~(squared > reach[row][:, None]) & wanted)
+            return found.at[number_of[row]].max(~(squared > squares[row][:, None]) & wanted)
 
         nothing = jnp.zeros((num, len(wanted)), bool)
         return passes.over_table(joints, nothing, fold, lambda _, gap: wanted & ~(gap > 0))

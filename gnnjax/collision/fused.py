@@ -125,8 +125,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         with_obstacle: Callable[[jax.Array, jax.Array, Iterator], jax.Array],
         with_itself: Callable[[jax.Array, Iterator], jax.Array],
         with_row: Callable[[jax.Array, jax.Array, jax.Array], jax.Array],
-        worth_going_on: Callable[[jax.Array], jax.Array],
-        row_is_wanted: Callable[[jax.Array, jax.Array], jax.Array],
+        worth_going_on: Callable[[jax.Array, jax.Array], jax.Array],
     ) -> jax.Array:
         """Folds what all passes say of configurations.
 
@@ -138,8 +137,8 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             with_obstacle: `(value, number of the obstacle, distances) -> value`.
             with_itself: `(value, distances) -> value`.
             with_row: the same of a row of `Passes.table`, see `Passes.over_table`.
-            worth_going_on: of what values pairs of the arm's own spheres are to be looked at.
-            row_is_wanted: and those of a row.
+            worth_going_on: of what values pairs of the arm's own spheres are to be looked at, which
+                are apart by a gap, m, at least: `(value, gap) -> [G T]`.
         """
         joints = joint_terms(robot, q)
         own = Obstacle(*jax.tree.map(lambda x: x[..., owner, None], tuple(placed)[:-1]))
@@ -159,7 +158,7 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             some = functools.partial(one_pass, spheres=spheres)
             value = jax.lax.fori_loop(0, most, some, value)
         if passes.table is not None:
-            return passes.over_table(joints, value, with_row, row_is_wanted)
+            return passes.over_table(joints, value, with_row, worth_going_on)
         for pairs in passes.self_pairs:
 
             def self_turn(_, value, pairs=pairs):
@@ -167,21 +166,16 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
                 return with_itself(value, passes.to_itself(fresh, pairs))
 
             # A loop of one turn or none, for the same reason as above; none where it cannot matter.
-            turns = jnp.any(worth_going_on(value)).astype(jnp.int32)
+            turns = jnp.any(worth_going_on(value, jnp.float32(-jnp.inf))).astype(jnp.int32)
             value = jax.lax.fori_loop(0, turns, self_turn, value)
         return value
 
-    # Of the pairs of each row of a table the squared sums of radii; of those inside -1 where there
-    # are none, which nothing is closer than.
     if passes.table is not None:
-        outside, inside = (
-            x[passes.table.pairs] for x in (robot.geom_radii, robot.geom_inner_radii)
-        )
-        some = (inside > 0).all(axis=-1)
-        outer_squares = (outside.sum(axis=-1) ** 2)[..., None, None].astype(np.float32)
-        inner_squares = np.where(some, inside.sum(axis=-1) ** 2, -1)[..., None, None].astype(
-            np.float32
-        )
+        outer_squares = passes.table.squares[..., None, None]
+        # Of the spheres inside of parts -1 where there are none, which nothing is closer than.
+        inside = robot.geom_inner_radii[passes.table.pairs]
+        squares = np.where((inside > 0).all(axis=-1), inside.sum(axis=-1) ** 2, -1)
+        inner_squares = squares[..., None, None].astype(np.float32)
 
     def first(
         placed: Placed, owner: Int[Array, " G"], q: Float[Array, "G T D"]
@@ -233,7 +227,6 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             with_obstacle,
             with_itself,
             with_row,
-            lambda word: word < BLOCKED,
             lambda word, gap: (word < BLOCKED) & ~(gap > 0),
         )
 
@@ -315,7 +308,6 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             with_obstacle,
             with_itself,
             with_row,
-            lambda x: x == x,
             lambda x, gap: ~(gap > x),
         )
         return found.reshape(q.shape[:-1])

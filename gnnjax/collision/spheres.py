@@ -98,10 +98,22 @@ def place(scenes: Scene, axis_aligned: bool) -> Placed:
 
 def moved_by_joint(robot: Robot) -> list[bool]:
     """Whether each collision sphere is moved by some joint."""
-    moved: list[bool] = []
-    for body in robot.bodies:
-        moved.append(bool(body.joints) or (body.parent >= 0 and moved[body.parent]))
-    return [b >= 0 and moved[b] for b in robot.geom_bodies.tolist()]
+    return (_links(robot) >= 0).tolist()
+
+
+def _links(robot: Robot) -> np.ndarray:
+    """Of each sphere the body whose joint moves it, of which those of one stay where they are
+    among each other; -1 for those that no joint moves."""
+    moves: list[int] = []
+    for number, body in enumerate(robot.bodies):
+        moves.append(number if body.joints else -1 if body.parent < 0 else moves[body.parent])
+    return np.array([-1 if b < 0 else moves[b] for b in robot.geom_bodies.tolist()], int)
+
+
+def in_passes(rows: np.ndarray, most: int) -> list[np.ndarray]:
+    """Rows in parts of about the same size, each of `most` or fewer; no part of none."""
+    num = -(-len(rows) // most)
+    return np.array_split(rows, num) if num else []
 
 
 def sphere_centers(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Vector]:
@@ -119,6 +131,7 @@ class PairTable(NamedTuple):
     many for straight-line code."""
 
     pairs: Int[np.ndarray, "R C 2"]
+    squares: Float[np.ndarray, "R C"]  # m^2; of the sums of their radii
     near: Int[np.ndarray, "R 2"]  # a sphere of either link
     reach: Float[np.ndarray, " R"]  # m; how much nearer the surfaces of a pair may be than these
 
@@ -142,22 +155,14 @@ def pair_table(robot: Robot) -> PairTable:
     rows = []
     for couple in range(len(couples)):
         own = pairs[of.reshape(-1) == couple]
-        num = -(-len(own) // _PAIRS_A_ROW)
-        for row in np.array_split(own, num):
+        for row in in_passes(own, _PAIRS_A_ROW):
             (first, reach), (second, other) = (around(np.unique(x)) for x in row.T)
             full = np.pad(row, ((0, _PAIRS_A_ROW - len(row)), (0, 0)), "edge")
             rows.append((full, (first, second), reach + other + _ROUNDED))
     pairs, near, reach = (np.array(x) for x in zip(*rows, strict=True))
-    return PairTable(pairs.astype(np.int32), near.astype(np.int32), reach.astype(np.float32))
-
-
-def _links(robot: Robot) -> np.ndarray:
-    """Of each sphere the body whose joint moves it, of which those of one stay where they are
-    among each other; -1 for those that no joint moves."""
-    moves: list[int] = []
-    for number, body in enumerate(robot.bodies):
-        moves.append(number if body.joints else -1 if body.parent < 0 else moves[body.parent])
-    return np.array([-1 if b < 0 else moves[b] for b in robot.geom_bodies.tolist()])
+    squares = (robot.geom_radii[pairs].sum(axis=-1) ** 2).astype(np.float32)
+    pairs, near = pairs.astype(np.int32), near.astype(np.int32)
+    return PairTable(pairs, squares, near, reach.astype(np.float32))
 
 
 _Folded = TypeVar("_Folded")
@@ -171,12 +176,10 @@ class Passes:
         # The spheres that joints move.
         self.moving = np.flatnonzero(moved_by_joint(robot)).tolist()
         # Those that are looked at together.
-        num = -(-len(self.moving) // _SPHERES_A_PASS)
-        self.groups = [x.tolist() for x in np.array_split(self.moving, num)] if num else []
+        self.groups = [x.tolist() for x in in_passes(np.array(self.moving), _SPHERES_A_PASS)]
         self._bodies = robot.geom_bodies.tolist()
-        num = -(-len(robot.self_pairs) // _SELF_PAIRS_A_PASS)
         # Of each pass over pairs of the arm's own spheres, the pairs.
-        self.self_pairs = np.array_split(robot.self_pairs, num) if num else []
+        self.self_pairs = in_passes(robot.self_pairs, _SELF_PAIRS_A_PASS)
         # All pairs once more, for what would take too long to compile as passes.
         self.table = pair_table(robot) if len(robot.self_pairs) > _MOST_IN_CODE else None
 
@@ -220,7 +223,7 @@ class Passes:
                 whose pairs are apart by `gap`, m, at least. The gap may be NaN.
         """
         assert self.table is not None
-        pairs, near, reach = map(jnp.asarray, self.table)
+        pairs, _, near, reach = map(jnp.asarray, self.table)
         shape = jnp.shape(joints.cos)[1:]
         points = sphere_centers(self._robot, joints)
         centers = jnp.stack([jnp.stack([jnp.broadcast_to(x, shape) for x in p]) for p in points])

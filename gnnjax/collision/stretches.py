@@ -25,7 +25,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.edges import configurations_at
 from gnnjax.collision.exact import PartTests
-from gnnjax.collision.spheres import Obstacle, Passes, Placed
+from gnnjax.collision.spheres import Obstacle, Passes, Placed, in_passes
 
 _ROWS = 512  # looked at together
 # As `_SELF_PAIRS_A_PASS` in `spheres.py`.
@@ -75,8 +75,7 @@ class Stretches:
         inner = robot.geom_inner_radii if second is not None else robot.geom_radii
         self._inner = [x if x > 0 else None for x in inner.tolist()]
         moving = self._passes.moving
-        num = max(1, -(-len(moving) // _SPHERES_A_PASS))
-        self._groups = [x.tolist() for x in np.array_split(moving, num)]
+        self._groups = [x.tolist() for x in in_passes(np.array(moving), _SPHERES_A_PASS)]
         body = spheres_of(robot)
         reach = np.maximum.reduceat(body.reach, body.first, axis=0)
         links = body.links.tolist()
