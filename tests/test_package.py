@@ -62,7 +62,7 @@ trajectory.clearance trajectory.timing trajectory.batches trajectory.needs traje
 trajectory.moves trajectory.trajectory trajectory.states trajectory.files
 planning.options planning.query planning.goals planning.motions planning.progress
 planning.strategy planning.walks planning.looks planning.guided planning.pool planning.shortening
-planning.shortcuts planning.trees
+planning.shortcuts planning.tree planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.steps trajectory.execution
 training.weights training.checkpoint training.parallel training.motions training.figure training.run

@@ -15,7 +15,8 @@ from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Progress
 from gnnjax.planning.query import path_length
 from gnnjax.planning.shortcuts import _POINTS, _cut, _shortest, _spread, cut_short
-from gnnjax.planning.trees import CHEAPLY, DRAWN, SPARINGLY, Outlook, Tree, _likely, grow
+from gnnjax.planning.tree import Tree
+from gnnjax.planning.trees import CHEAPLY, DRAWN, SPARINGLY, Outlook, _likely, grow
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
 
@@ -215,7 +216,7 @@ def test_the_nearest_nodes_are_those_of_all_distances(monkeypatch):
         branch(tree, 0, node[None])
     wanted = np.linalg.norm(nodes - q[:, None], axis=-1).argmin(axis=1)
     np.testing.assert_array_equal(tree.nearest(q), wanted)
-    monkeypatch.setattr(trees, "_PRODUCT", 7 * 12 * 8)  # blocks of eight nodes
+    monkeypatch.setattr("gnnjax.planning.tree._PRODUCT", 7 * 12 * 8)  # blocks of eight nodes
     np.testing.assert_array_equal(tree.nearest(q), wanted)
 
 
