@@ -28,7 +28,7 @@ from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_comman
 from gnnjax.files import check_apart, check_target, locked
 from gnnjax.measure.batches import Batches
 from gnnjax.measure.machine import describe_machine, ompl_version
-from gnnjax.measure.own_planner import checksums_of, own_settings
+from gnnjax.measure.own_planner import check_arm, checksums_of, own_settings
 from gnnjax.measure.result_files import (
     FORMAT,
     OF_ARM,
@@ -114,7 +114,7 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
     if planner is None:
         planner = planner_for(config)
     else:
-        _check_arm(planner, config)
+        check_arm(planner, load_arm(config))
         own = own_settings(planner, config, files)
     problems = StoredProblems(config.problems, planner.robot)
     num = min(len(problems), config.num_problems or len(problems))
@@ -150,16 +150,6 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
         if results:
             draw(results)
         return results
-
-
-def _check_arm(planner: QueryPlanner, config: EvaluateConfig) -> None:
-    """Refuses a planner of another arm than the one that results would tell."""
-    told = load_arm(config).name
-    if planner.robot.name != told:
-        raise InputError(
-            f"the planner is of {planner.robot.name}, and results would tell {told}; give the "
-            "configuration the planner's robot, and what was chosen and attached of it"
-        )
 
 
 def _in_processes(

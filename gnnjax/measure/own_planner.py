@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from gnnjax.arm.robot import Robot
 from gnnjax.arm.sources import sources_sha256
 from gnnjax.errors import InputError, brief
 from gnnjax.planning.options import PlannerOptions
@@ -29,6 +30,19 @@ def _of_weights(planner: QueryPlanner) -> str | None:
     leaves = [np.asarray(x) for x in jax.tree.leaves(planner.strategy.weights)]
     shapes = repr([(x.dtype.str, x.shape) for x in leaves]).encode()
     return hashlib.sha256(shapes + b"".join(x.tobytes() for x in leaves)).hexdigest()
+
+
+def check_arm(planner: QueryPlanner, told: Robot) -> None:
+    """Refuses a planner of another arm than the one that its results would tell.
+
+    Raises:
+        InputError: it is.
+    """
+    if planner.robot.name != told.name:
+        raise InputError(
+            f"the planner is of {planner.robot.name}, and results would tell {told.name}; give the "
+            "configuration the planner's robot, and what was chosen and attached of it"
+        )
 
 
 def own_settings(
