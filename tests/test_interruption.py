@@ -13,7 +13,14 @@ from gnnjax.interruption import is_command
 
 def start(*words):
     command = [sys.executable, *words]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    # Processes inherit what is ignored: a script in the background has its own ignore SIGINT.
+    had = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        return subprocess.Popen(
+            command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+        )
+    finally:
+        signal.signal(signal.SIGINT, had)
 
 
 @pytest.mark.parametrize(
