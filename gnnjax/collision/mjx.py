@@ -84,16 +84,14 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
         refuse_allowed(scene, "the MJX backend")
         place = _placer(robot, q)
         smallest = jnp.full(len(q), jnp.inf, q.dtype)
-        disc, ball = scene.radii[..., 0], scene.radii[..., 1]
-        radius, half_length = disc + ball, scene.half_extents[..., 2]
-        round_sizes = jnp.stack([radius, half_length, jnp.zeros_like(radius)], axis=-1)
+        kinds, sizes = _enclosing(scene)
         for kind, distance in to_obstacle.items():
-            exists = scene.mask & _is_of_kind(kind, disc, ball, half_length)
+            exists = scene.mask & kinds[kind]
             # Those of other kinds are far away, and none is looked at after the last.
             obstacles = (
                 jnp.where(exists[..., None], scene.centers, FAR),
                 rotation_matrices(scene.quats),
-                scene.half_extents if kind == _BOX else round_sizes,
+                sizes[kind],
             )
             if scene.mask.ndim > 1:
                 obstacles = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), obstacles)
@@ -140,15 +138,33 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
     )
 
 
-def _is_of_kind(
-    kind: mujoco.mjtGeom, disc: jax.Array, ball: jax.Array, half_length: jax.Array
-) -> jax.Array:
-    """Which obstacles MJX collides as geoms of a kind."""
-    if kind == _OBSTACLES["cylinder"]:
-        return disc > 0
-    if kind == _BOX:
-        return (disc == 0) & (ball == 0)
-    return (ball > 0) & ((half_length > 0) == (kind == _OBSTACLES["capsule"]))
+def _enclosing(
+    scene: Scene,
+) -> tuple[dict[mujoco.mjtGeom, jax.Array], dict[mujoco.mjtGeom, jax.Array]]:
+    """MuJoCo's geoms that hold the obstacles: which are of a kind, and their sizes `[... 3]`.
+
+    An obstacle is a box, a disc and a ball, summed. MuJoCo has no box or cylinder with rounded
+    edges, as a margin makes them: those are larger here, at the edges alone.
+    """
+    x, y, z = jnp.moveaxis(scene.half_extents, -1, 0)
+    disc, ball = scene.radii[..., 0], scene.radii[..., 1]
+    is_box = (x > 0) | (y > 0)
+    is_cylinder = ~is_box & (disc > 0)
+    is_capsule = ~is_box & ~is_cylinder & (z > 0)
+    nothing = jnp.zeros_like(ball)
+    kinds = {
+        _BOX: is_box,
+        _OBSTACLES["cylinder"]: is_cylinder,
+        _OBSTACLES["capsule"]: is_capsule,
+        _SPHERE: ~is_box & ~is_cylinder & ~is_capsule,
+    }
+    sizes = {
+        _BOX: (x + disc + ball, y + disc + ball, z + ball),
+        _OBSTACLES["cylinder"]: (disc + ball, z + ball, nothing),
+        _OBSTACLES["capsule"]: (ball, z, nothing),
+        _SPHERE: (ball, nothing, nothing),
+    }
+    return kinds, {kind: jnp.stack(size, axis=-1) for kind, size in sizes.items()}
 
 
 def _placer(robot: Robot, q: Float[Array, "B D"]) -> Callable[[np.ndarray], _Geoms]:
