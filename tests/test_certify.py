@@ -108,7 +108,7 @@ def test_an_edge_without_slack_is_certified_as_one_with_none(robots):
 
 
 @pytest.mark.parametrize(
-    "slack", [np.zeros((2, 3)), np.full((1, 3), -0.1), np.full((1, 3), np.nan)]
+    "slack", [np.zeros((2, 3)), *(np.full((1, 3), x) for x in (-0.1, np.nan, np.inf))]
 )
 def test_slack_is_a_row_of_lengths_an_edge(robots, slack):
     edge = np.zeros((1, 3)), np.ones((1, 3))

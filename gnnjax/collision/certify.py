@@ -86,7 +86,9 @@ def certify_edges(
         configurations_of(robot, "ends", ends),
     )
     wide = None if slack is None else configurations_of(robot, "slack", slack)
-    if wide is not None and (len(wide) != len(starts) or not (wide >= 0).all()):
+    if wide is not None and (
+        len(wide) != len(starts) or not ((wide >= 0) & np.isfinite(wide)).all()
+    ):
         raise InputError(f"slack {brief(slack)} for {len(starts)} edges; give lengths, a row each")
     if len(starts) != len(ends):
         raise InputError(f"{len(starts)} starts and {len(ends)} ends; give one of each an edge")
@@ -134,8 +136,9 @@ def _certify_block(
         need = np.zeros(len(of))
         np.maximum.at(need, found.moment, found.motion / np.maximum(found.gap, 1e-12))
         certified[of[found.moment[found.touching]]] = False
-        certified[of[(need >= 1) & ((far - near) * lengths[of] < shortest[of])]] = False
-        split = (need >= 1) & certified[of]
+        is_open = ~(need < 1)  # NaN proves nothing
+        certified[of[is_open & ~((far - near) * lengths[of] >= shortest[of])]] = False
+        split = is_open & certified[of]
         # As many parts as would do if the clearance were the same all along.
         parts = cut(of[split], near[split], far[split], np.clip(need[split] * 1.2, 2, 8))
         edge, low, high = (

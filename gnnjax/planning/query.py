@@ -215,7 +215,7 @@ def _end_reasons(
     reasons: list[str | None] = [None] * len(q)
     outside = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))
     too_weak = ~rests(robot, q)
-    for i in np.flatnonzero(outside.any(axis=1) | (clearance <= 0) | too_weak):
+    for i in np.flatnonzero(outside.any(axis=1) | ~(clearance > 0) | too_weak):
         if outside[i].any():
             joint = int(outside[i].argmax())
             value = q[i, joint]
