@@ -19,6 +19,7 @@ from gnnjax.planning import progress
 from gnnjax.planning.engine import Run
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
+from gnnjax.planning.progress import Limits
 from tests.test_guided_planner import check_path, one, random_problem, same
 
 pytestmark = pytest.mark.usefixtures("all_sizes")
@@ -30,6 +31,10 @@ NUM = 16  # scenes, and their shares, fill one padded number: kernels are compil
 def planner(tiny_path):
     options = make_options("guided", num_nodes=40, max_roadmaps=2, check_cost=100.0)
     return make_planner(load_robot(tiny_path), options)
+
+
+def run_of(planner, problems, pool, time=np.inf):
+    return planner._run(planner._tester(True), problems, 0, pool, Limits(time))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +95,7 @@ def test_the_field_guides_to_certified_paths(planner, problems, plans):
 @pytest.mark.parametrize("pool", [1, 2, 16])
 def test_plans_do_not_depend_on_who_shares_the_pool(planner, problems, plans, pool):
     # Smaller pools are refilled.
-    assert same(planner._run(problems, 0, pool, True).run(), plans)
+    assert same(run_of(planner, problems, pool).run(), plans)
 
 
 def test_plans_do_not_depend_on_the_order(planner, problems, plans):
@@ -104,7 +109,7 @@ def test_a_problem_that_is_none_leaves_the_others_alone(planner, problems, plans
     start[3] = np.nan
     bad = problems._replace(start=start)
     others = [i for i in range(NUM) if i != 3]
-    for plan in (planner.plan_batch, lambda bad: planner._plan_batch(bad, 0)):
+    for plan in (planner.plan_batch, lambda bad: planner._plan_batch(bad, 0, Limits())):
         found = plan(bad)
         assert not found[3].success
         assert same([found[i] for i in others], [plans[i] for i in others])
@@ -225,7 +230,7 @@ def test_what_no_certificate_proves_is_searched_anew(cheap, problems, cheap_plan
 def test_a_time_limit_acts_between_rounds(planner, problems, plans, monkeypatch):
     hopeless = [i for i, plan in enumerate(plans) if not plan.success]
     some = jax.tree.map(lambda x: x[hopeless], problems)
-    free = planner._run(some, 0, 16, True)
+    free = run_of(planner, some, 16)
     assert not any(plan.success for plan in free.run())
     assert free.rounds.max() > 3
 
@@ -234,13 +239,12 @@ def test_a_time_limit_acts_between_rounds(planner, problems, plans, monkeypatch)
         return begin
 
     monkeypatch.setattr(Run, "spend", spend)
-    monkeypatch.setattr(planner, "options", dataclasses.replace(planner.options, time_limit=8.0))
-    limited = planner._run(some, 0, 16, True)
+    limited = run_of(planner, some, 16, 8.0)
     for i, plan in enumerate(limited.run()):
         assert not plan.success
         assert limited.rounds[i] <= 8
         if plan.total_time_s > 8:
-            assert "and 8 s are over; give it more time" in plan.reason
+            assert "; 8 s are over, give it more time" in plan.reason
     assert limited.rounds.sum() < free.rounds.sum() / 2
     assert limited.total_time.max() > 8
 

@@ -1,6 +1,7 @@
 """Queries with several goals, and with a pose for a goal."""
 
 import logging
+import re
 from pathlib import Path
 
 import jax
@@ -14,8 +15,9 @@ from gnnjax.errors import InputError
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.planning.goals import plan_to_cheapest
-from gnnjax.planning.load import load_planner
-from gnnjax.planning.progress import Progress
+from gnnjax.planning.load import load_planner, make_planner
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.planning.progress import Limits
 from gnnjax.planning.query import make_plan, path_length
 from gnnjax.pose.goal import PoseGoal
 from gnnjax.problems.problem import Problem
@@ -41,13 +43,13 @@ def place(robot, q):
 
 
 def attempts(costs):
-    """Plans to goals on a line at the distances that `costs` names, at what they cost with one
-    roadmap and with all; and what was asked."""
+    """Plans to goals on a line at the distances that `costs` names, at what they cost after a hasty
+    look and after all; and what was asked."""
     asked = []
 
-    def attempt(goal, most_roadmaps):
-        asked.append((float(goal[0]), most_roadmaps))
-        cost = costs[float(goal[0])][most_roadmaps is None]
+    def attempt(goal, limits):
+        asked.append((float(goal[0]), limits))
+        cost = costs[float(goal[0])][not limits.is_hasty]
         path = None if cost is None else np.array([[0.0], [cost]])
         counts = {"edge_checks": 1, "sampling_checks": 2, "search_checks": 3, "roadmaps": 4}
         return make_plan(path, "no way", 1, **counts, planning_time_s=0.5, total_time_s=1.0)
@@ -59,24 +61,24 @@ def attempts(costs):
     ("costs", "best", "asked"),
     [
         # A straight line: none of the others can cost less.
-        ({1.0: (1.0, 1.0), 2.0: (2.0, 2.0)}, 1.0, [(1, 1)]),
+        ({1.0: (1.0, 1.0), 2.0: (2.0, 2.0)}, 1.0, [(1, True)]),
         # Until those that are left are farther away than the way that was found.
-        ({1.0: (5.0, 5.0), 2.0: (3.0, 3.0), 4.0: (4.0, 4.0)}, 3.0, [(1, 1), (2, 1)]),
-        ({1.0: (None, 1.0), 2.0: (3.0, 3.0)}, 3.0, [(1, 1), (2, 1)]),
-        # Nothing with one roadmap each: the first that is found with all.
+        ({1.0: (5.0, 5.0), 2.0: (3.0, 3.0), 4.0: (4.0, 4.0)}, 3.0, [(1, True), (2, True)]),
+        ({1.0: (None, 1.0), 2.0: (3.0, 3.0)}, 3.0, [(1, True), (2, True)]),
+        # Nothing in haste: the first that is found with all.
         (
             {1.0: (None, None), 2.0: (None, 7.0), 3.0: (None, 3.0)},
             7.0,
-            [(1, 1), (2, 1), (3, 1), (1, None), (2, None)],
+            [(1, True), (2, True), (3, True), (1, False), (2, False)],
         ),
-        ({1.0: (None, 9.0)}, 9.0, [(1, None)]),
+        ({1.0: (None, 9.0)}, 9.0, [(1, False)]),
     ],
 )
 def test_the_cheapest_goal_is_taken_and_all_that_was_tried_is_counted(costs, best, asked):
     attempt, seen = attempts(costs)
     plan = plan_to_cheapest(attempt, np.zeros(1), np.array(list(costs))[:, None], np.inf)
     assert plan.cost == best
-    assert seen == asked
+    assert [(goal, limits.is_hasty) for goal, limits in seen] == asked
     counts = plan.edge_checks, plan.sampling_checks, plan.search_checks, plan.roadmaps
     assert counts == tuple(x * len(asked) for x in (1, 2, 3, 4))
     assert plan.configuration_checks == 5 * len(asked)
@@ -85,19 +87,27 @@ def test_the_cheapest_goal_is_taken_and_all_that_was_tried_is_counted(costs, bes
 
 def test_no_further_goal_is_tried_when_time_is_over():
     attempt, asked = attempts({1.0: (None, None), 2.0: (None, None), 3.0: (None, None)})
-    plan = plan_to_cheapest(attempt, np.zeros(1), np.array([[1.0], [2.0], [3.0]]), 1.5)
+    goals = np.array([[1.0], [2.0], [3.0]])
+    plan = plan_to_cheapest(attempt, np.zeros(1), goals, 1.5)
     assert not plan.success
-    assert plan.reason == "none of 3 goals: no way"
-    assert len(asked) == 2
+    assert plan.reason == "no path to 2 of 3 goals in 1.5 s; give it more time"
+    # Each has what the others have left.
+    assert [limits.time for _, limits in asked] == [1.5, 0.5]
+    plan = plan_to_cheapest(attempt, np.zeros(1), goals, 9.0)
+    assert plan.reason == "no path to any of 3 goals; the last one: no way"
 
 
-def test_a_problem_is_given_up_with_its_last_roadmap(planner):
-    rows = np.array([START, START], np.float32)
-    scenes = jax.tree.map(lambda x: np.stack([x, x]), make_scene(**BOX))
-    for most, is_open in ((None, [True, True]), (1, [True, False])):
-        progress = Progress(planner.robot, Problem(rows, rows, scenes), most_roadmaps=most)
-        progress.roadmaps[:] = [0, 1]
-        assert progress.open(np.inf).tolist() == is_open
+@pytest.mark.parametrize("check_cost", [1.0, 1000.0])
+def test_a_hasty_look_ends_soon(tiny, check_cost):
+    planner = make_planner(tiny, PlannerOptions(num_nodes=32, check_cost=check_cost))
+    wall = make_scene([[0.6, 0.0, 0.0]], [[0.5, 0.02, 0.9]])  # from the base to beyond its reach
+    scenes = jax.tree.map(lambda x: np.asarray(x)[None], wall)
+    rows = np.array([START], np.float32), np.array([[1.5, 0.0, 0.0]], np.float32)
+    (plan,) = planner._plan_batch(Problem(*rows, scenes), 0, Limits(is_hasty=True))
+    assert not plan.success
+    assert plan.roadmaps == 1
+    most = {1.0: r"no path in (\d|1[0-6]) rounds", 1000.0: "no path in the 1 roadmaps tried"}
+    assert re.match(most[check_cost], plan.reason)
 
 
 def test_of_several_goals_the_cheapest_is_planned_to(planner):

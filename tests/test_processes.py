@@ -1,6 +1,7 @@
 """A planner in processes of its own plans what it plans in this one."""
 
 import dataclasses
+import functools
 import os
 import signal
 import subprocess
@@ -19,6 +20,20 @@ from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions, make_options
 from gnnjax.planning.processes import PlannerProcesses
 from tests.test_guided_planner import random_problem, same
+
+
+def read_in_a_script(*scene):
+    """As of a script that is run as such."""
+
+
+read_in_a_script.__module__ = "__main__"
+
+
+class Gone:
+    """What another process cannot make."""
+
+    def __reduce__(self):
+        return exec, ("raise ModuleNotFoundError('no such module there')",)
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +82,15 @@ def test_plans_do_not_depend_on_the_number_of_processes(planner, problems):
             planners.plan_batch(problems)
 
 
+def test_what_fails_in_a_process_is_told(planner, problems, monkeypatch):
+    # Whatever is wrong there and not here: a folder that is gone, a package that is missing.
+    given = planner.given | {"scorer": Gone()}
+    monkeypatch.setattr(planner, "given", given)
+    with PlannerProcesses(planner, 1) as planners:
+        with pytest.raises(RuntimeError, match="ModuleNotFoundError: no such module there"):
+            planners.plan_batch(problems)
+
+
 def is_running(pid):
     try:
         os.kill(pid, 0)
@@ -99,6 +123,11 @@ def test_what_cannot_be_shared_out_is_refused(planner, tiny_path, tmp_path):
     own = field._replace(read=lambda *scene: field.read(*scene))
     guided = make_planner(planner.robot, make_options("guided"), own)
     with pytest.raises(InputError, match="cannot be sent to another process"):
+        PlannerProcesses(guided, 1)
+    # The script that runs is another module there.
+    of_script = functools.update_wrapper(lambda *scene: None, read_in_a_script)
+    guided = make_planner(planner.robot, make_options("guided"), field._replace(read=of_script))
+    with pytest.raises(InputError, match=r"sent to another process \(read_in_a_script is in the"):
         PlannerProcesses(guided, 1)
     settings = {"problems": tmp_path / "none.npz", "json": tmp_path / "out.json", "processes": 2}
     for changes, message in (

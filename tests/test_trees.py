@@ -12,7 +12,7 @@ from gnnjax.collision.sequences import Items, Outcome, SequenceTester
 from gnnjax.planning import trees
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.progress import Progress
+from gnnjax.planning.progress import Limits, Progress
 from gnnjax.planning.query import path_length
 from gnnjax.planning.shortcuts import _POINTS, _cut, _shortest, _spread, cut_short
 from gnnjax.planning.tree import Tree
@@ -50,11 +50,11 @@ def strategy(robot):
 
 
 def grown(robot, strategy, tester, problems, time_limit=np.inf, defers=False):
-    progress = Progress(robot, problems)
+    progress = Progress(robot, problems, Limits(time_limit))
     progress.defers = defers
     placed, ids = tester.place(progress.problems.scene), np.arange(len(problems.start))
     outlook = Outlook(progress, strategy, ids, 2)
-    grow(robot, progress, tester, placed, ids, outlook, 0, CHEAPLY, CHEAPLY.rounds, time_limit)
+    grow(robot, progress, tester, placed, ids, outlook, 0, CHEAPLY, CHEAPLY.rounds)
     return progress, placed
 
 
@@ -121,7 +121,7 @@ def test_a_problem_has_the_same_path_alone(robot, strategy, tester, problems):
 
 def test_the_guide_picks_the_branches(robot, strategy, tester, problems):
     """Of a guide that knows what is free, fewer are blocked."""
-    progress = Progress(robot, problems)
+    progress = Progress(robot, problems, Limits())
     rows = np.arange(len(problems.start))
     own, others = ([Tree(root) for root in x] for x in (problems.start, problems.goal))
     goals = np.random.default_rng(2).uniform(
@@ -257,7 +257,7 @@ def test_of_shortcuts_few_are_tested_and_the_shortest_way_is_that_along_all_that
 
     monkeypatch.setattr(SequenceTester, "__call__", test)
     placed = tester.place(problems.scene)
-    found = _cut(Progress(robot, problems), tester, placed, np.arange(3), pieces)
+    found = _cut(Progress(robot, problems, Limits()), tester, placed, np.arange(3), pieces)
     first, second = np.triu_indices(_POINTS, 1)
     assert 3 < asked < 0.8 * 3 * len(first)
     for piece, way in zip(pieces, found, strict=True):

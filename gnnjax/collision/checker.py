@@ -26,7 +26,7 @@ from gnnjax.collision.edges import (
     test_edges,
 )
 from gnnjax.collision.fused import Levels, fused_functions
-from gnnjax.collision.spheres import BLOCKED
+from gnnjax.collision.spheres import BLOCKED, in_table
 from gnnjax.collision.stretches import Edges, Stretches
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
@@ -102,18 +102,19 @@ def make_checker(
         return inside_limits(nodes) & functions.collision_free_each(placed, owner, nodes)
 
     most = most_intervals(robot, resolution)
-    order = bisection_order(most)
 
     def check_edges(
         scene: Scene, starts: Float[Array, "E D"], ends: Float[Array, "E D"]
     ) -> EdgeChecks:
+        order = bisection_order(most)
         return test_edges(check_configurations, order, resolution, scene, starts, ends)
 
     def edges_free(
         scene: Scene, starts: Float[Array, "E D"], ends: Float[Array, "E D"]
     ) -> Bool[Array, " E"]:
         # Torques at rest may be too large between two places where they are not.
-        if scene.cloud is not None or backend != "fused" or robot.rest_limit is not None:
+        by_points = backend != "fused" or robot.rest_limit is not None or in_table(robot)
+        if scene.cloud is not None or by_points:
             return check_edges(scene, starts, ends).valid
         *cut, testable = cut_edges(starts, ends, resolution, most)
         edges = Edges(*cut)

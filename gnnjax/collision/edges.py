@@ -1,5 +1,6 @@
 """Edges, cut into configurations that are tested one by one, until the first that is not valid."""
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -44,6 +45,7 @@ def most_intervals(robot: Robot, resolution: float) -> int:
     return most
 
 
+@functools.cache
 def bisection_order(max_intervals: int) -> np.ndarray:
     """The order in which the points of an edge are tested: middle first, then quarters, ...
 
@@ -66,6 +68,7 @@ def bisection_order(max_intervals: int) -> np.ndarray:
                     deeper += [(low, middle), (middle, high)]
             level = deeper
         order[n, : n - 1] = row
+    order.flags.writeable = False
     return order
 
 

@@ -126,6 +126,11 @@ def sphere_centers(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Ve
     return points
 
 
+def in_table(robot: Robot) -> bool:
+    """Whether an arm has too many pairs of spheres for straight-line code."""
+    return len(robot.self_pairs) > _MOST_IN_CODE
+
+
 class PairTable(NamedTuple):
     """Pairs of an arm's own spheres in R rows, each of spheres of two links: for arms that have too
     many for straight-line code."""
@@ -181,7 +186,7 @@ class Passes:
         # Of each pass over pairs of the arm's own spheres, the pairs.
         self.self_pairs = in_passes(robot.self_pairs, _SELF_PAIRS_A_PASS)
         # All pairs once more, for what would take too long to compile as passes.
-        self.table = pair_table(robot) if len(robot.self_pairs) > _MOST_IN_CODE else None
+        self.table = pair_table(robot) if in_table(robot) else None
 
     def to_obstacle(
         self, joints: Joints, obstacle: Obstacle, spheres: Sequence[int] | None = None

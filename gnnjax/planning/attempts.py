@@ -18,7 +18,7 @@ from gnnjax.guide.guide import RISK_WEIGHT
 from gnnjax.planning.guided import JUDGED, Guided
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.pool import Pool, in_chunks, size_for, take
-from gnnjax.planning.progress import Progress
+from gnnjax.planning.progress import Limits, Progress
 from gnnjax.planning.shortening import Shortener
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import without_points
@@ -48,25 +48,25 @@ class Attempts(Progress):
         robot: Robot,
         strategy: Guided,
         options: PlannerOptions,
+        limits: Limits,
         tester: SequenceTester,
         problems: Problem,
         seed: int,
         pool: int,
         shares: int = 1,
-        most_roadmaps: int | None = None,
     ):
         """Args:
         robot: the arm.
         strategy: makes roadmaps and shortcuts, and prices them.
-        options: limits.
+        options: how much is tried.
+        limits: of each problem.
         tester: of the arm.
         problems: `[P, ...]`, which `check_query` accepts.
         seed: of the roadmaps.
         pool: most problems on their way at once.
         shares: runs that take place side by side.
-        most_roadmaps: of a problem, with which it is given up; None: with all.
         """
-        super().__init__(robot, problems, shares, most_roadmaps)
+        super().__init__(robot, problems, limits, shares)
         self.strategy, self.options = strategy, options
         self.tester, self.seed, self.pool = tester, seed, pool
         self.chunk = _CHUNKS[pool > 1]
@@ -194,7 +194,7 @@ class Attempts(Progress):
         for row in live[dear]:
             kept = Kept(int(slots.number[row]), pool.known(int(row)))
             self.kept[pool.ids[row]].append(kept)
-        late = self.total_time[pool.ids[live]] > self.options.time_limit
+        late = ~self.in_time()[pool.ids[live]]
         gone = none | dear | late | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
         pool.ids[live[gone]] = -1
         return live[~gone]

@@ -15,7 +15,7 @@ from gnnjax.planning.options import CHEAP
 from gnnjax.planning.pool import Pool, sizes_up_to
 from gnnjax.planning.query import Plan
 from gnnjax.planning.shortcuts import cut_short
-from gnnjax.planning.trees import CHEAPLY, DRAWN, SPARINGLY, Outlook, grow
+from gnnjax.planning.trees import CHEAPLY, DRAWN, HASTY_ROUNDS, SPARINGLY, Outlook, grow
 from gnnjax.search.knowledge import INVALID
 
 _STRAIGHT = 1024  # straight lines that are tested at once
@@ -58,13 +58,16 @@ class Run(Attempts):
     def _search(self) -> None:
         if self._on_roadmaps:
             self._search_roadmaps()
-        if not self.options.sampled:
+        # A first look where checks are dear is one at likely paths.
+        if not (self.options.sampled or (self._on_roadmaps and self.limits.is_hasty)):
             self._grow_trees()
 
     def _search_roadmaps(self) -> None:
         """Searches roadmaps for the problems that have no path."""
         every = np.arange(len(self.paths))
         last = min(self.options.max_roadmaps, _ROADMAPS_A_LEVEL * self.options.effort)
+        if self.limits.is_hasty:
+            last = 1
         for level in range(0, last, _ROADMAPS_A_LEVEL):
             for number in range(level, min(level + _ROADMAPS_A_LEVEL, last)):
                 ids = self._open()
@@ -72,7 +75,7 @@ class Run(Attempts):
                 self.attempt(ids, np.full(len(ids), number), self.strategy.give_up)
             # No roadmap had a likely path: now the unlikely ones, all that there are of a problem
             # side by side. The first roadmap is of another shape.
-            for is_first in (True, False):
+            for is_first in () if self.limits.is_hasty else (True, False):
                 again = [
                     (i, one)
                     for i in self._open().tolist()
@@ -88,9 +91,7 @@ class Run(Attempts):
     def _grow_trees(self) -> None:
         """Two trees for each problem that has no path."""
         schedule = CHEAPLY if self.options.check_cost <= CHEAP else SPARINGLY
-        rounds = schedule.rounds * self.options.effort
-        if self.most_roadmaps is not None:
-            rounds = schedule.few
+        rounds = HASTY_ROUNDS if self.limits.is_hasty else schedule.rounds * self.options.effort
         ids = self._open()
         ends = np.concatenate([self.problems.start[ids], self.problems.goal[ids]], axis=1)
         ids = ids[np.isfinite(ends).all(axis=1)]  # of others there is nothing to grow from
@@ -108,7 +109,6 @@ class Run(Attempts):
                 self.seed,
                 schedule,
                 rounds,
-                self.options.time_limit,
             )
 
     def _reason(self, i: int) -> str:
@@ -119,9 +119,8 @@ class Run(Attempts):
                 f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe}), "
                 f"{self.rounds[i]} rounds"
             )
-        if self.total_time[i] > self.options.time_limit:
-            return f"{tried}, and {self.options.time_limit:g} s are over; give it more time"
-        return f"{tried}; more effort may find one"
+        why = self.given_up(i, tried)
+        return f"{tried}; more effort may find one" if why == tried else why
 
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
@@ -145,7 +144,7 @@ class Run(Attempts):
             outlook.prices(np.zeros(1, int), some, some)
 
     def _open(self) -> np.ndarray:
-        return np.flatnonzero(self.open(self.options.time_limit) & self.wanted)
+        return np.flatnonzero(self.open() & self.wanted)
 
     def _test_straight_lines(self, ids: np.ndarray) -> None:
         """Tests the straight lines from starts to goals."""

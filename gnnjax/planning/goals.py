@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
+from gnnjax.planning.progress import Limits
 from gnnjax.planning.query import Plan, check_queries, check_query
 from gnnjax.pose.goal import PoseGoal
 from gnnjax.pose.inverse import inverse_kinematics
@@ -109,42 +110,49 @@ def _valid(
 
 
 def plan_to_cheapest(
-    attempt: Callable[[np.ndarray, int | None], Plan],
+    attempt: Callable[[np.ndarray, Limits], Plan],
     start: np.ndarray,
     goals: np.ndarray,
     time_limit: float,
 ) -> Plan:
     """Plans to whichever of some goals a path costs least to, as far as is tried.
 
-    First with one roadmap a goal, until none of the goals that are left can cost less than what was
-    found; then, where nothing was found, with all that a planner tries, until something is.
+    First with a hasty look at each goal, until none of those that are left can cost less than what
+    was found; then, where nothing was found, with all that a planner tries, until something is.
 
     Args:
-        attempt: plans to a goal `[D]`, with at most so many roadmaps.
+        attempt: plans to a goal `[D]` within limits.
         start: `[D]`.
         goals: `[G D]`, the nearest first.
-        time_limit: s, after which no further goal is tried.
+        time_limit: s, for all goals together.
 
     Returns:
         The plan to that goal, with the checks, roadmaps and times of all that was tried.
     """
     if len(goals) == 1:
-        return attempt(goals[0], None)
+        return attempt(goals[0], Limits(time_limit))
     plans: list[Plan] = []
     best: Plan | None = None
-    for most_roadmaps in (1, None):
-        for goal in goals:
+    left, tried = time_limit, 0
+    for is_hasty in (True, False):
+        for number, goal in enumerate(goals, start=1):
             # No path is shorter than a straight line.
             through = best is not None and (
-                most_roadmaps is None or best.cost <= np.linalg.norm(goal - start)
+                not is_hasty or best.cost <= np.linalg.norm(goal - start)
             )
-            if through or sum(plan.total_time_s for plan in plans) > time_limit:
+            if through or left < 0:
                 break
-            plans.append(attempt(goal, most_roadmaps))
+            plans.append(attempt(goal, Limits(left, is_hasty)))
+            left, tried = left - plans[-1].total_time_s, max(tried, number)
             if plans[-1].success and (best is None or plans[-1].cost < best.cost):
                 best = plans[-1]
     if best is None:
-        best = plans[-1]._replace(reason=f"none of {len(goals)} goals: {plans[-1].reason}")
+        reason = f"no path to any of {len(goals)} goals; the last one: {plans[-1].reason}"
+        if left < 0:
+            reason = (
+                f"no path to {tried} of {len(goals)} goals in {time_limit:g} s; give it more time"
+            )
+        best = plans[-1]._replace(reason=reason)
     return _summed(best, plans)
 
 

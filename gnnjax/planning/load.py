@@ -10,7 +10,7 @@ from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide
 from gnnjax.guide.rest import with_rest
-from gnnjax.planning import strategy as strategies
+from gnnjax.planning import strategy
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.options import PlannerOptions, check_options, make_options
 from gnnjax.planning.planner import GuidedPlanner, Planner, WalkPlanner
@@ -19,6 +19,12 @@ from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import Scene
 from gnnjax.search.greedy import Scorer
 
+_STRATEGIES = {
+    "distance": strategy.distance,
+    "lazysp": strategy.lazysp,
+    "prm": strategy.prm,
+    "oracle": strategy.oracle,
+}
 # Of `load_planner`: ranks neighbors on one roadmap in one scene.
 MakeScorer = Callable[[Roadmap, Scene], Scorer]
 
@@ -94,16 +100,15 @@ def make_planner(
         return ClassicalPlanner(robot, options)
     if name == "guided":
         chosen = with_rest(robot, guide or _guide(robot, options))
-        strategy = Guided(robot, chosen, options)
-        return GuidedPlanner(robot, strategy, options, {"guide": guide})
+        return GuidedPlanner(robot, Guided(robot, chosen, options), options, {"guide": guide})
     if name in ("gnn", "gnn_lazy"):
         from gnnjax.paper import strategy as paper
 
         return WalkPlanner(robot, paper.from_weights(robot, options), options)
     if scorer is not None:
-        strategy = strategies.greedy(robot, options, scorer)
-        return WalkPlanner(robot, strategy, options, {"scorer": scorer})
-    return WalkPlanner(robot, getattr(strategies, name)(robot, options), options)
+        chosen = strategy.greedy(robot, options, scorer)
+        return WalkPlanner(robot, chosen, options, {"scorer": scorer})
+    return WalkPlanner(robot, _STRATEGIES[name](robot, options), options)
 
 
 def _guide(robot: Robot, options: PlannerOptions) -> Guide:

@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 
 from gnnjax.collision.checker import EDGE_RESOLUTION
-from gnnjax.errors import InputError, check_number, check_option_names
+from gnnjax.errors import InputError, brief, check_number, check_option_names
 
 DEFAULT_MAX_ROADMAPS = 8
 CHEAP = 10.0  # us; a check that takes longer is dearer than a look at the guide
@@ -128,8 +128,12 @@ def check_options(options: PlannerOptions) -> None:
             f"checker {options.checker!r} with planner {name!r}; it takes {list(backends)}"
         )
     for field in dataclasses.fields(PlannerOptions):
+        value = getattr(options, field.name)
         if field.type in (int, float):
-            check_number(getattr(options, field.name), field.name)
+            check_number(value, field.name)
+        is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if field.type is int and not is_whole:
+            raise InputError(f"{field.name} is {brief(value)}; give a whole number")
     if options.num_nodes < 2:
         raise InputError(
             f"num_nodes is {options.num_nodes}; a roadmap needs at least start and goal"

@@ -22,6 +22,7 @@ from gnnjax.planning.goals import find_goals, plan_to_cheapest
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.motions import motion_options, with_motions
 from gnnjax.planning.options import PlannerOptions, check_options
+from gnnjax.planning.progress import Limits
 from gnnjax.planning.query import Plan, plan_valid
 from gnnjax.planning.strategy import Strategy
 from gnnjax.planning.walks import Compiled, Walks, compile_strategy
@@ -108,8 +109,8 @@ class Planner(abc.ABC):
         scenes = jax.tree.map(lambda x: np.asarray(x)[None], scene)
         thick = inflated(scenes, margin)
 
-        def attempt(end: np.ndarray, most: int | None) -> Plan:
-            return self._plan_batch(Problem(start[None], end[None], thick), seed, most)[0]
+        def attempt(end: np.ndarray, limits: Limits) -> Plan:
+            return self._plan_batch(Problem(start[None], end[None], thick), seed, limits)[0]
 
         plan = plan_to_cheapest(attempt, start, ends, self.options.time_limit)
         (plan,) = with_motions(self.robot, [plan], scenes, motion, margin)
@@ -149,7 +150,7 @@ class Planner(abc.ABC):
         margin = self.options.margin
         compile_certificates(self.robot)
         thick = problems._replace(scene=inflated(problems.scene, margin))
-        plans = self._plan_batch(thick, seed)
+        plans = self._plan_batch(thick, seed, Limits(self.options.time_limit))
         return with_motions(self.robot, plans, problems.scene, motion, margin)
 
     @on_host()
@@ -165,9 +166,9 @@ class Planner(abc.ABC):
         return proven_clearance(self.robot, scene, plan.path)
 
     @abc.abstractmethod
-    def _plan_batch(self, problems: Problem, seed: int, most: int | None = None) -> list[Plan]:
-        """`plan_batch`, with obstacles that are as large as the margin makes them, and with no more
-        than `most` roadmaps."""
+    def _plan_batch(self, problems: Problem, seed: int, limits: Limits) -> list[Plan]:
+        """`plan_batch`, with obstacles that are as large as the margin makes them, within limits
+        of each problem."""
 
     @abc.abstractmethod
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
@@ -192,38 +193,40 @@ class GuidedPlanner(Planner):
 
     strategy: Guided
 
-    def _plan_batch(self, problems: Problem, seed: int, most: int | None = None) -> list[Plan]:
+    def _plan_batch(self, problems: Problem, seed: int, limits: Limits) -> list[Plan]:
         shares = shares_of(len(problems.start))
+        # One rotated obstacle in the batch, and all are taken for rotated. Made before threads ask
+        # for it, each of which would make its own.
+        tester = self._tester(is_axis_aligned(problems.scene))
 
         def plan(share: Share) -> list[Plan]:
             own = jax.tree.map(lambda x: np.asarray(x)[share.numbers], problems)
             num = len(share.numbers)
-            return self._run(own, seed, num, axis_aligned, len(shares), most).run()
+            return self._run(tester, own, seed, num, limits, len(shares)).run()
 
-        # One rotated box in the batch, and all are taken for rotated.
-        axis_aligned = is_axis_aligned(problems.scene)
         return side_by_side(plan, shares)
 
     @on_host()
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
+        _check_size(batch_size)
+        tester = self._tester(is_axis_aligned(scene))
         # One after the other, or each would compile the same.
         for share in shares_of(batch_size):
-            num = len(share.numbers)
             with share.at_home():
-                self._run(self._at_home(scene, num), 0, num, is_axis_aligned(scene)).warm_up()
+                num = len(share.numbers)
+                self._run(tester, self._at_home(scene, num), 0, num, Limits()).warm_up()
 
     def _run(
         self,
+        tester: SequenceTester,
         problems: Problem,
         seed: int,
         pool: int,
-        axis_aligned: bool,
+        limits: Limits,
         shares: int = 1,
-        most: int | None = None,
     ) -> Run:
-        tester = self._tester(axis_aligned)
-        own = self.robot, self.strategy, self.options
-        return Run(*own, tester, problems, seed, pool, shares, most)
+        own = self.robot, self.strategy, self.options, limits
+        return Run(*own, tester, problems, seed, pool, shares)
 
     @per_object(functools.cache)
     def _tester(self, axis_aligned: bool) -> SequenceTester:
@@ -239,17 +242,23 @@ class WalkPlanner(Planner):
 
     strategy: Strategy
 
-    def _plan_batch(self, problems: Problem, seed: int, most: int | None = None) -> list[Plan]:
-        return self._walks(problems, seed, most).run()
+    def _plan_batch(self, problems: Problem, seed: int, limits: Limits) -> list[Plan]:
+        return self._walks(problems, seed, limits).run()
 
     @on_host()
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
-        self._walks(self._at_home(scene, batch_size), 0).warm_up()
+        _check_size(batch_size)
+        self._walks(self._at_home(scene, batch_size), 0, Limits()).warm_up()
 
-    def _walks(self, problems: Problem, seed: int, most: int | None = None) -> Walks:
+    def _walks(self, problems: Problem, seed: int, limits: Limits) -> Walks:
         compiled = self._compiled(is_axis_aligned(problems.scene))
-        return Walks(self.robot, self.strategy, self.options, compiled, problems, seed, most)
+        return Walks(self.robot, self.strategy, self.options, limits, compiled, problems, seed)
 
     @per_object(functools.cache)
     def _compiled(self, axis_aligned: bool) -> Compiled:
         return compile_strategy(self.robot, self.strategy, self.options, axis_aligned)
+
+
+def _check_size(batch_size: int) -> None:
+    if batch_size < 1:
+        raise InputError(f"batch_size is {batch_size}; it must be at least 1")

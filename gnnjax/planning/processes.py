@@ -7,6 +7,7 @@ process at a time. Processes share nothing but the cache of compiled code.
 import contextlib
 import dataclasses
 import functools
+import io
 import os
 import pickle
 import signal
@@ -14,6 +15,7 @@ import subprocess
 import sys
 import time
 import traceback
+import types
 from collections.abc import Callable, Sequence
 from typing import IO, Any
 
@@ -162,13 +164,24 @@ def _sent(planner: Planner) -> bytes:
     # Those of a command belong to its module, which is another one there.
     names = [field.name for field in dataclasses.fields(PlannerOptions)]
     options = PlannerOptions(**{name: getattr(planner.options, name) for name in names})
+    sent = io.BytesIO()
     try:
-        return pickle.dumps((planner.robot, options, planner.given, cache))
+        _Pickler(sent).dump((planner.robot, options, planner.given, cache))
+        return sent.getvalue()
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
             f"the planner's guide or scorer cannot be sent to another process ({error}); make it "
             "of functions at the top of a module, or plan in this process"
         ) from None
+
+
+class _Pickler(pickle.Pickler):
+    """Refuses what another process would not find."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, types.FunctionType | type) and obj.__module__ == "__main__":
+            raise pickle.PicklingError(f"{obj.__qualname__} is in the script that runs")
+        return NotImplemented
 
 
 class _Worker:
@@ -197,10 +210,14 @@ class _Worker:
         try:
             return pickle.load(self._answers)
         except (EOFError, pickle.UnpicklingError):
-            raise InputError(
-                f"a process of the planner has ended (status {self._process.wait()}), perhaps for "
-                "want of memory; plan fewer problems at once, or in fewer processes"
-            ) from None
+            status = self._process.wait()
+            why = "; it may have told why"
+            if status == -signal.SIGKILL:
+                why = (
+                    ", perhaps for want of memory; plan fewer problems at once, or in fewer "
+                    "processes"
+                )
+            raise InputError(f"a process of the planner has ended (status {status}){why}") from None
 
     def kill(self) -> None:
         self._process.kill()
@@ -228,20 +245,25 @@ def work() -> None:
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[number % len(cores)]})
-    robot, options, given, cache = pickle.loads(pickle.load(questions))
-    jax.config.update("jax_compilation_cache_dir", cache)
-    planner = make_planner(robot, options, **given)
-    assert isinstance(planner, Planner)
+    sent, made = pickle.load(questions), []
+
+    def planner() -> Planner:
+        """Made when it is first asked, so that whoever asks is told what is wrong."""
+        if not made:
+            robot, options, given, cache = pickle.loads(sent)
+            jax.config.update("jax_compilation_cache_dir", cache)
+            made.append(make_planner(robot, options, **given))
+        return made[0]
 
     def plan_accepted(
         weights: Any, seed: int, motion: MotionOptions | None, problems: Problem
     ) -> list[Plan]:
-        planner.use_weights(weights)
-        return planner.plan_accepted(seed, motion, problems)
+        planner().use_weights(weights)
+        return planner().plan_accepted(seed, motion, problems)
 
     functions: dict[str, Callable[..., Any]] = {
         "plan_accepted": plan_accepted,
-        "warm_up": planner.warm_up,
+        "warm_up": lambda *asked: planner().warm_up(*asked),
         "cpu_time": time.process_time,
     }
     while True:

@@ -1,5 +1,7 @@
 """What was found of a batch of problems, and what it cost."""
 
+from typing import NamedTuple
+
 import jax
 import numpy as np
 
@@ -14,38 +16,59 @@ from gnnjax.search.knowledge import INVALID
 from gnnjax.search.rounds import Route
 
 
+class Limits(NamedTuple):
+    """When a problem is given up."""
+
+    time: float = np.inf  # s, after which nothing further is begun
+    # After a first look: one roadmap, or few rounds of trees.
+    is_hasty: bool = False
+
+
 class Progress:
     """P problems: the shortest certified paths so far, checks, and times."""
 
-    def __init__(
-        self, robot: Robot, problems: Problem, shares: int = 1, most_roadmaps: int | None = None
-    ):
+    def __init__(self, robot: Robot, problems: Problem, limits: Limits, shares: int = 1):
         """Args:
         robot: the arm.
         problems: `[P, ...]`.
+        limits: of each.
         shares: of a larger batch that are worked on side by side.
-        most_roadmaps: of a problem, with which it is given up; None: with all.
         """
         num = len(problems.start)
         self.robot, self.clock, self._shares = robot, Clock(), shares
-        self.most_roadmaps = most_roadmaps
+        self.limits = limits
         self.problems = jax.tree.map(np.asarray, problems)
         self.paths: list[np.ndarray | None] = [None] * num
         # Shorter paths that tests found free, which await their certificate; the shortest last.
         self.unproven: list[list[np.ndarray]] = [[] for _ in range(num)]
         self.defers = False  # whether paths await theirs, or are certified at once
+        # Whether a path, which tests had found free, could not be certified.
+        self.failed = np.zeros(num, bool)
         self.sampling_checks = np.full(num, 2)  # start and goal
         self.edge_checks, self.search_checks, self.roadmaps, self.rounds = np.zeros((4, num), int)
         self.planning_time, self.total_time = np.zeros((2, num))
         self._known: tuple[np.ndarray, Obstacles] | None = None
 
-    def open(self, time_limit: float) -> np.ndarray:
-        """Which problems have no path, time left and, if need be, roadmaps left, `[P]`."""
+    def in_time(self) -> np.ndarray:
+        """Which problems have time left, `[P]`."""
+        return self.total_time <= self.limits.time
+
+    def open(self) -> np.ndarray:
+        """Which problems have no path, and time left, `[P]`."""
         unsolved = np.array([path is None for path in self.paths], bool)
         unsolved &= [not paths for paths in self.unproven]
-        if self.most_roadmaps is not None:
-            unsolved &= self.roadmaps < self.most_roadmaps
-        return unsolved & (self.total_time <= time_limit)
+        return unsolved & self.in_time()
+
+    def given_up(self, i: int, tried: str) -> str:
+        """Why a problem has no path, after what was tried."""
+        if self.failed[i]:
+            tried += (
+                "; there are paths that tests find free, but they pass something too closely to be "
+                "proven free"
+            )
+        if not self.in_time()[i]:
+            tried += f"; {self.limits.time:g} s are over, give it more time"
+        return tried
 
     def spend(self, ids: np.ndarray, begin: float, *, planning: bool = True) -> float:
         """Shares out the time since `begin` over those that were worked on, some more than once;
@@ -81,6 +104,7 @@ class Progress:
         found = np.split(certified, np.cumsum(steps)[:-1])
         for i, path, good in zip(ids, paths, found, strict=True):
             known = self.paths[i]
+            self.failed[i] |= not good.all()
             if good.all() and (known is None or path_length(path) < path_length(known)):
                 self.paths[i] = path
         return found

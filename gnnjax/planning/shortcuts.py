@@ -39,7 +39,8 @@ def cut_short(
     while True:
         bent = [i for i, path in found.items() if len(path) > 2]
         bent = [i for i in bent if passes[i] < _PASSES or len(found[i]) > _POINTS]
-        bent = [i for i in bent if passes[i] < 3 * _PASSES]
+        in_time = progress.in_time()
+        bent = [i for i in bent if passes[i] < 3 * _PASSES and in_time[i]]
         if not bent:
             break
         begin = progress.clock.now()

@@ -15,12 +15,12 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.edges import EdgeChecks
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.problems.problem import Problem
-from gnnjax.roadmap.graph import Roadmap, default_radius
+from gnnjax.roadmap.graph import START, Roadmap, default_radius
 from gnnjax.roadmap.paths import cost_to_go, edge_validity, follow, next_slots
 from gnnjax.roadmap.sampled import SampledRoadmap, sample_roadmap
 from gnnjax.scene.scene import Scene
 from gnnjax.search.greedy import Scorer, distance_scorer, greedy_search, oracle_scorer
-from gnnjax.search.knowledge import INVALID, VALID, SearchResult
+from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, SearchResult
 from gnnjax.search.lazy import lazy_search
 
 
@@ -107,10 +107,10 @@ def prm(robot: Robot, options: PlannerOptions) -> Strategy:
         cost = cost_to_go(roadmap, edge_cost)
         path = follow(roadmap, next_slots(roadmap, edge_cost, cost), cost)
         # Brute force checks everything the first time and knows it afterwards.
-        first = jnp.all(status == 0)
+        first = jnp.all(status == UNKNOWN)
         return SearchResult(
             path,
-            jnp.isfinite(cost[0]),
+            jnp.isfinite(cost[START]),
             jnp.where(first, labelled.num_edge_checks, 0),
             jnp.where(first, labelled.num_checks, 0),
             jnp.where(usable, VALID, INVALID).astype(jnp.int8),

@@ -31,7 +31,6 @@ class Schedule(NamedTuple):
     """How much is tried in the rounds of two trees."""
 
     rounds: int  # at effort 1
-    few: int  # for problems that are given up with few roadmaps
     # Of how many branches each one of a round is picked, from some round on: at first of many,
     # those that are likely and lie on a short way. What narrow places need is unlikely, and goes
     # around: later they are picked from few, and lengths weigh less.
@@ -39,8 +38,9 @@ class Schedule(NamedTuple):
 
 
 # More branches than at first where checks are cheap, and a round costs as much with few.
-CHEAPLY = Schedule(64, 16, ((0, _AT_FIRST), (12, np.repeat(8, 31)), (24, np.repeat(4, 62))))
-SPARINGLY = Schedule(100, 24, ((0, _AT_FIRST), (24, np.append(2 ** np.arange(7), DRAWN - 127))))
+CHEAPLY = Schedule(64, ((0, _AT_FIRST), (12, np.repeat(8, 31)), (24, np.repeat(4, 62))))
+SPARINGLY = Schedule(100, ((0, _AT_FIRST), (24, np.append(2 ** np.arange(7), DRAWN - 127))))
+HASTY_ROUNDS = 16  # of problems that are given up after a first look
 # nats that a unit of length weighs at first, and rounds after which it weighs half as much
 _LENGTH_WEIGHT, _HALVED = 4.0, 10
 _STEP = 0.5  # configuration units of a branch's edges
@@ -89,7 +89,6 @@ def grow(
     seed: int,
     schedule: Schedule,
     rounds: int,
-    time_limit: float,
 ) -> None:
     """Grows trees for problems without a path, whose paths go to `progress`.
 
@@ -103,7 +102,6 @@ def grow(
         seed: of the random configurations, the same for all.
         schedule: has the branches of a round.
         rounds: the most.
-        time_limit: s, after which a problem's trees are left.
     """
     # An end may lie in another turn of a joint.
     ends = [x[ids].astype(np.float32) for x in (progress.problems.start, progress.problems.goal)]
@@ -113,7 +111,7 @@ def grow(
     rng = np.random.default_rng([seed, 2])
     for number in range(rounds):
         drawn = rng.random((DRAWN, robot.num_dof))
-        open_rows = np.flatnonzero(progress.open(time_limit)[ids])
+        open_rows = np.flatnonzero(progress.open()[ids])
         if not len(open_rows):
             return
         begin = progress.clock.now()

@@ -17,7 +17,7 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.edges import EdgeChecks
 from gnnjax.devices import map_first, marked_first
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.progress import Progress
+from gnnjax.planning.progress import Limits, Progress
 from gnnjax.planning.query import Plan
 from gnnjax.planning.strategy import Checks, Strategy
 from gnnjax.problems.problem import Problem
@@ -86,40 +86,42 @@ class Walks(Progress):
         robot: Robot,
         strategy: Strategy,
         options: PlannerOptions,
+        limits: Limits,
         compiled: Compiled,
         problems: Problem,
         seed: int,
-        most_roadmaps: int | None = None,
     ):
         """Args:
         robot: the arm.
         strategy: how a problem is planned.
-        options: limits.
+        options: how much is tried.
+        limits: of each problem.
         compiled: the strategy's functions.
         problems: `[P, ...]`, which `check_query` accepts.
         seed: of the roadmaps.
-        most_roadmaps: of a problem, with which it is given up; None: with all.
         """
         # Of few sizes, one compilation each: some problems more than once, which nobody plans.
         self._num = len(problems.start)
         repeated = np.resize(np.arange(self._num), 1 << (self._num - 1).bit_length())
         problems = jax.tree.map(lambda x: np.asarray(x)[repeated], problems)
-        super().__init__(robot, problems, most_roadmaps=most_roadmaps)
+        super().__init__(robot, problems, limits)
         self._is_own = np.arange(len(repeated)) < self._num
         self.strategy, self.options = strategy, options
         self.compiled, self.seed = compiled, seed
 
     def run(self) -> list[Plan]:
         """Plans all problems."""
-        for number in range(self.options.max_roadmaps):
-            open_ = self.open(self.options.time_limit) & self._is_own
+        for number in range(1 if self.limits.is_hasty else self.options.max_roadmaps):
+            open_ = self.open() & self._is_own
             if not open_.any():
                 break
             self._work(self._begin(number, open_), open_)
         plans = self.plans(
             [
-                f"no path in the {roadmaps} roadmaps tried ({self.strategy.describe})"
-                for roadmaps in self.roadmaps
+                self.given_up(
+                    i, f"no path in the {roadmaps} roadmaps tried ({self.strategy.describe})"
+                )
+                for i, roadmaps in enumerate(self.roadmaps)
             ]
         )
         return plans[: self._num]

@@ -53,8 +53,8 @@ class Knowledge(NamedTuple):
 def nothing_known(roadmap: Roadmap, *, nodes_checked: bool = False) -> Knowledge:
     """What is known of a roadmap in the beginning."""
     num = len(roadmap.nodes)
-    status = jnp.zeros(roadmap.neighbors.shape, jnp.int8)
-    return Knowledge(status, jnp.full(num, int(nodes_checked), jnp.int8))
+    nodes = jnp.full(num, VALID if nodes_checked else UNKNOWN, jnp.int8)
+    return Knowledge(unknown_edges(roadmap), nodes)
 
 
 def ends_known(roadmap: Roadmap, *, nodes_checked: bool = False) -> Knowledge:
