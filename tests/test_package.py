@@ -53,7 +53,7 @@ plot
 pose.goal pose.chain pose.solver pose.inverse pose.reasons
 guide.guide guide.view guide.motion guide.field guide.rest
 search.knowledge search.greedy search.lazy search.rounds search.shorten
-problems.problem problems.file problems.shards problems.camera
+problems.problem problems.arrays problems.file problems.shards problems.camera
 problems.structures problems.shelves problems.furniture problems.clutter problems.families
 problems.family_problem problems.labelled problems.moveit_names
 problems.moveit

@@ -19,7 +19,7 @@ CONSUMERS = {
     "scene file": "gnnjax.scene.scene_file",
     "MuJoCo world": "gnnjax.scene.mujoco_world",
     "MJX backend": "gnnjax.collision.mjx",
-    "problem file": "gnnjax.problems.file",
+    "problem file": "gnnjax.problems.arrays",
     "picture": "gnnjax.plot",
     "change of frame": "gnnjax.scene.pose",
     "held object": "gnnjax.scene.held",
