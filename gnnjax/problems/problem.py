@@ -48,7 +48,7 @@ class ProblemSet:
         scene = self.problems.scene
         try:
             start, goal = (np.asarray(x, float) for x in self.problems[:2])
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(
                 "start and goal of a problem set are no numbers [P D]; give a row for each problem"
             ) from None

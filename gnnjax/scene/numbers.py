@@ -1,6 +1,8 @@
 """Numbers of obstacles as people and files give them, checked and brought into one form."""
 
+import contextlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -80,6 +82,23 @@ def sums_from(kind: str, columns: dict[str, Sequence | np.ndarray], source: str)
                 "the base and leaves no arm any room; give a normal that points out of it"
             )
     return sums_of(kind, values)
+
+
+def number_of(value: Any, called: str, unit: str = "") -> float:
+    """A number of a JSON file, where booleans and strings would pass for numbers in Python.
+
+    Args:
+        value: of the file.
+        called: what has it, and its name, in error messages.
+        unit: of the number, likewise.
+
+    Raises:
+        InputError: no number, or one too large for a computer's.
+    """
+    with contextlib.suppress(OverflowError):
+        if type(value) in (int, float):
+            return float(value)
+    raise InputError(f"{called} = {brief(value)}; give a number{unit and f' ({unit})'}")
 
 
 def unit_quats(quats: np.ndarray) -> np.ndarray:

@@ -80,7 +80,7 @@ def voxels(data: bytes, binary: bool, kind: str, resolution: Any, called: str) -
     """
     try:
         edge = float(resolution)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         edge = 0.0
     if not 0 < edge < np.inf:
         raise InputError(f"{called} has the resolution {brief(resolution)}; give an edge in m")

@@ -12,6 +12,7 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
 from gnnjax.scene.allowed import allow_contacts, refuse_allowed
 from gnnjax.scene.cloud import Balls, point_cloud
+from gnnjax.scene.numbers import number_of
 from gnnjax.scene.octomap import octomap
 from gnnjax.scene.own_points import MARGIN, without_robot
 from gnnjax.scene.point_files import points_from_file
@@ -168,9 +169,7 @@ def _read_cloud(
     for key in given.keys() & {"radius", "voxel", "scale", "depth", "margin"}:
         if given[key] is None and (name, key) == ("clouds", "voxel"):
             continue
-        if type(given[key]) not in (int, float):
-            raise InputError(f"{called} has {key} = {brief(given[key])}; give a number")
-        given[key] = float(given[key])
+        given[key] = number_of(given[key], f"{called} has {key}")
     if not isinstance(given.get("solid"), bool | None):
         raise InputError(f"{called} has solid = {brief(given['solid'])}; give true or false")
     for key in given.keys() & {"center", "quat", "size", "without_robot_at"}:

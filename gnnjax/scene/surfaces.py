@@ -86,7 +86,7 @@ def height_field(
     called = "the height field"
     try:
         array = np.asarray(heights, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"heights of {called} are not numbers; give [R, C]") from None
     if array.ndim != 2 or min(array.shape) < 2:
         raise InputError(
@@ -237,7 +237,7 @@ def rotation_of(quat: Sequence | np.ndarray, called: str) -> np.ndarray:
 def vector_of(value: Sequence | np.ndarray, called: str, width: int = 3) -> np.ndarray:
     try:
         array = np.asarray(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
     if array.shape != (width,) or not np.isfinite(array).all():
         raise InputError(f"{called} is {value!r}; give {width} finite numbers")
