@@ -34,7 +34,7 @@ from gnnjax.scene.shapes import (
     SIZES,
     Sums,
     described,
-    kind_of,
+    known_kinds,
     sums_of,
 )
 
@@ -74,13 +74,7 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
         "start": np.asarray(start, np.float32),
         "goal": np.asarray(goal, np.float32),
     }
-    kinds = np.where(scene.mask, kind_of(scene.half_extents, scene.radii), -2)
-    if (kinds == -1).any():
-        problem, which = np.argwhere(kinds == -1)[0]
-        raise InputError(
-            f"obstacle {which} of problem {problem} is of no kind of {list(KINDS)}; make scenes "
-            "with make_scene or scene_from_shapes"
-        )
+    kinds = known_kinds(scene.half_extents, scene.radii, scene.mask)
     for number, kind in enumerate(KINDS):
         chosen = kinds == number
         if not chosen.any() and kind != "box":

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
@@ -25,7 +24,7 @@ from gnnjax.scene.shapes import (
     Sums,
     described,
     for_every_kind,
-    kind_of,
+    known_kinds,
 )
 from gnnjax.scene.surfaces import height_field, mesh
 
@@ -249,17 +248,10 @@ def _checked(kind: str, values: Any, called: str) -> dict[str, Any]:
 def scene_to_json(scene: Scene, path: str | Path) -> None:
     """Writes the existing obstacles of one scene as JSON that `scene_from_json` reads."""
     refuse_allowed(scene, "a scene file without an arm")
-    shapes = scene._replace(cloud=None)
-    one = jax.tree.map(lambda x: np.asarray(x)[np.asarray(scene.mask)], shapes)
-    kinds = kind_of(one.half_extents, one.radii)
-    if (kinds < 0).any():
-        raise InputError(
-            f"obstacle {int((kinds < 0).argmax())} of the scene is of no kind of {list(KINDS)}; "
-            "make scenes with make_scene or scene_from_shapes"
-        )
+    kinds = known_kinds(scene.half_extents, scene.radii, scene.mask)
     lists: dict[str, list] = {}
     for number, kind in enumerate(KINDS):
-        chosen = Sums(*(x[kinds == number] for x in one[:4]))
+        chosen = Sums(*(np.asarray(x)[kinds == number] for x in scene[:4]))
         columns = described(kind, chosen)
         found = [
             {

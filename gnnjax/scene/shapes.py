@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnnjax.errors import InputError
+
 # In Python, in problem files (`box_centers`) and, in the plural, in scene files.
 KINDS = ("box", "sphere", "capsule", "cylinder", "half_space")
 
@@ -191,6 +193,29 @@ def kind_of(half_extents: ArrayLike, radii: ArrayLike) -> np.ndarray:
         kinds = np.where(fits, KINDS.index(kind), kinds)
     huge = (kinds == KINDS.index("box")) & (half_extents == HALF_SPACE).all(axis=-1)
     return np.where(huge, KINDS.index("half_space"), kinds)
+
+
+def known_kinds(half_extents: ArrayLike, radii: ArrayLike, mask: ArrayLike) -> np.ndarray:
+    """`kind_of` obstacles `[*batch, M]`, all of which that exist are of a kind; -1 for others.
+
+    Args:
+        half_extents: `[*batch, M, 3]` m.
+        radii: `[*batch, M, 2]` m, of disc and ball.
+        mask: `[*batch, M]`, true where the obstacle exists.
+
+    Raises:
+        InputError: one is of no kind, such as a box that `inflated` has rounded.
+    """
+    mask = np.asarray(mask)
+    kinds = np.where(mask, kind_of(half_extents, radii), -1)
+    if len(bad := np.argwhere(mask & (kinds < 0))):
+        *batch, which = bad[0].tolist()
+        where = f"problem {batch[0]}" if batch else "the scene"
+        raise InputError(
+            f"obstacle {which} of {where} is of no kind of {list(KINDS)}; make scenes with "
+            "make_scene or scene_from_shapes"
+        )
+    return kinds
 
 
 # Which of the sizes are positive: x, y, z of the box, the disc, the ball. A half-space is told from

@@ -23,7 +23,7 @@ from gnnjax.scene.shapes import (
     described,
     for_every_kind,
     half_space,
-    kind_of,
+    known_kinds,
     sphere,
     sums_of,
 )
@@ -184,13 +184,8 @@ class Session:
 
     def _read(self, scene: Scene) -> None:
         """Takes the obstacles of a scene over."""
-        kinds = kind_of(scene.half_extents, scene.radii)
+        kinds = known_kinds(scene.half_extents, scene.radii, scene.mask)
         for i in np.flatnonzero(scene.mask).tolist():
-            if kinds[i] < 0:
-                raise InputError(
-                    f"obstacle {i} of the scene is of no kind of {list(KINDS)}; make scenes with "
-                    "make_scene or scene_from_shapes"
-                )
             row = Sums(*(np.asarray(x[i], float) for x in scene[:4]))
             kind = KINDS[kinds[i]]
             values = described(kind, row)
