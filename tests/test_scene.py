@@ -169,6 +169,8 @@ def test_what_a_scene_file_holds_beside_obstacles_is_refused_and_named(tmp_path,
         InputError, match=rf"scene\.json' has \['{further}'\], and there are only \['boxes'"
     ):
         scene_from_json(path)
+    with pytest.raises(InputError, match=r"'clouds', 'meshes', 'height_fields', 'octomaps', 'al"):
+        scene_from_json(path)
 
 
 @pytest.mark.parametrize(

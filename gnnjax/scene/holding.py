@@ -178,7 +178,7 @@ def attach_from_json(robot: Robot, path: str | Path) -> Robot:
     mass = None if mass is None else number_of(mass, f"{called} has mass", "kg")
     if not isinstance(allow, list) or not all(isinstance(name, str) for name in allow):
         raise InputError(f"{called} has allow = {brief(allow)}; give a list of names of bodies")
-    shapes = shapes_of(data, called, repr(str(path)))
+    shapes = shapes_of(data, ("body", "mass", "allow"), called, repr(str(path)))
     return attach(robot, body, shapes, mass=mass, allow=allow)
 
 

@@ -1,6 +1,7 @@
 """Scenes as JSON, for people to write by hand."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,9 @@ def scene_from_json(path: str | Path, robot: Robot | None = None) -> Scene:
     ]
     clouds = [balls for balls in clouds if balls is not None]
     allow = _listed(data.pop("allow", []), "allow", called)
-    scene = scene_from_shapes(shapes_of(data, called, short), clouds=clouds, source=short)
+    scene = scene_from_shapes(
+        shapes_of(data, (*_CLOUDS, "allow"), called, short), clouds=clouds, source=short
+    )
     if not allow:
         return scene
     if robot is None:
@@ -126,11 +129,12 @@ def read_json(path: str | Path, what: str) -> Any:
         raise InputError(f"{called} is no JSON: {error}; mend it") from None
 
 
-def shapes_of(data: dict[str, Any], called: str, short: str) -> list[Shape]:
+def shapes_of(data: dict[str, Any], others: Sequence[str], called: str, short: str) -> list[Shape]:
     """The obstacles in the lists of a file.
 
     Args:
         data: the lists, by their names.
+        others: names of what else such a file may have, which is not among them.
         called: the file, in error messages.
         short: the same, in those of one obstacle.
 
@@ -141,7 +145,7 @@ def shapes_of(data: dict[str, Any], called: str, short: str) -> list[Shape]:
     # What is not read would be planned through.
     if unknown := sorted(data.keys() - set(known)):
         raise InputError(
-            f"{called} has {unknown}, and there are only {known}; enclose such "
+            f"{called} has {unknown}, and there are only {[*known, *others]}; enclose such "
             "obstacles in one of those, and remove what is none"
         )
     for name, listed in data.items():
