@@ -16,9 +16,9 @@ import numpy as np
 
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.cloud import BUCKETS, Balls
+from gnnjax.scene.numbers import rotation_of, vector_of
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import IDENTITY_QUAT
-from gnnjax.scene.surfaces import rotation_of, vector_of
 
 _SIDE = 1 << 16  # voxels
 _HEADERS = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}

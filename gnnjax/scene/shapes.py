@@ -228,6 +228,12 @@ _FORMS = {
 }
 
 
+def z_axis(quats: ArrayLike) -> np.ndarray:
+    """Where unit quaternions `[*batch, 4]` turn z to, `[*batch, 3]`."""
+    w, x, y, z = np.moveaxis(np.asarray(quats, float), -1, 0)
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+
+
 def described(kind: str, sums: Sums) -> dict[str, np.ndarray]:
     """What `sums_of` was given of obstacles of a kind `[*batch]`, by the names of `FIELDS`."""
     values = {
@@ -238,8 +244,6 @@ def described(kind: str, sums: Sums) -> dict[str, np.ndarray]:
         "half_length": sums.half_extents[..., 2:],
     }
     if kind == "half_space":
-        w, x, y, _ = np.moveaxis(np.asarray(sums.quats, float), -1, 0)
-        z = sums.quats[..., 3]
-        normal = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], -1)
+        normal = z_axis(sums.quats)
         values |= {"normal": normal, "point": sums.centers + HALF_SPACE * normal}
     return {name: values[name] for name in FIELDS[kind]}

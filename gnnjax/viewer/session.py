@@ -26,6 +26,7 @@ from gnnjax.scene.shapes import (
     known_kinds,
     sphere,
     sums_of,
+    z_axis,
 )
 from gnnjax.viewer.answers import Answer, Query, Reach, Solve, without_path
 from gnnjax.viewer.worker import Worker
@@ -174,9 +175,8 @@ class Session:
         if number not in self._shapes:
             return
         if self._shapes[number].kind == "half_space":
-            w, x, y, z = np.asarray(quat) / np.linalg.norm(quat)
-            normal = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)]
-            self.resize(number, point=np.asarray(position), normal=np.array(normal))
+            normal = z_axis(np.asarray(quat) / np.linalg.norm(quat))
+            self.resize(number, point=np.asarray(position), normal=normal)
         elif "quat" in FIELDS[self._shapes[number].kind]:
             self.resize(number, center=np.asarray(position), quat=np.asarray(quat))
         else:
