@@ -30,7 +30,7 @@ def test_the_table_of_contents_is_complete():
 
 # Imports go down this list only.
 ORDER = """
-interruption notice errors arguments per_object files devices clock digest surroundings
+interruption notice errors arguments per_object files array_files devices clock digest surroundings
 memory_maps kept
 roll_call cluster
 arm.shipped

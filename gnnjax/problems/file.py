@@ -7,8 +7,9 @@ import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.array_files import FileKind, read_arrays
 from gnnjax.errors import InputError, brief
-from gnnjax.files import FileKind, atomic_write, read_arrays
+from gnnjax.files import atomic_write
 from gnnjax.problems.arrays import (
     CLOUD,
     NAMES,

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from gnnjax.arm.mesh_files import counts_back, ends_early
+from gnnjax.array_files import FileKind, read_arrays
 from gnnjax.errors import InputError
-from gnnjax.files import FileKind, read_arrays
 
 _ARRAYS = FileKind("file of points", "points", "save it anew by numpy.savez")
 _TYPES = {"F": "f", "U": "u", "I": "i"}  # of PCD's numbers, as NumPy calls them
