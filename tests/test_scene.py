@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import gnnjax.scene.scene_file
 from gnnjax.errors import InputError
+from gnnjax.problems.problem import sample_scene
 from gnnjax.scene.numbers import rotation_of
 from gnnjax.scene.scene import (
     BOX_BUCKETS,
@@ -19,7 +20,6 @@ from gnnjax.scene.scene import (
     make_scene,
     pad_scene,
     rotation_matrices,
-    sample_scene,
 )
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import z_axis
