@@ -40,8 +40,8 @@ from gnnjax.planning.load import own_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.query import Plan
 from gnnjax.problems.labelled import generate_labelled, problem_keys
-from gnnjax.problems.problem import Problem
-from gnnjax.scene.scene import Scene, sample_scene
+from gnnjax.problems.problem import Problem, sample_scene
+from gnnjax.scene.scene import Scene
 
 Part = Literal["kernels", "mjx", "labels", "pool", "abreast"]
 _SCENES = 16

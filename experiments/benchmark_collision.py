@@ -40,7 +40,8 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write
-from gnnjax.scene.scene import Scene, sample_scene
+from gnnjax.problems.problem import sample_scene
+from gnnjax.scene.scene import Scene
 
 MARGIN = 1e-3  # m; distances up to this are known where verdicts are compared
 UNSURE = 1e-4  # m; closer contacts may be judged either way in float32

@@ -29,9 +29,10 @@ from gnnjax.collision.checker import EDGE_RESOLUTION, Checker, make_checker
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write
+from gnnjax.problems.problem import sample_scene
 from gnnjax.roadmap.graph import Roadmap, default_radius
 from gnnjax.roadmap.sampled import sample_free, sample_roadmap
-from gnnjax.scene.scene import Scene, sample_scene
+from gnnjax.scene.scene import Scene
 
 _BLOCK = 1024  # edges labelled at once
 _MARGIN = 0.02  # m; distances up to this are told

@@ -27,7 +27,7 @@ from gnnjax.problems.family_problem import FamilyProblem, sample_family_problem
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.labelled import Labels, label_roadmap
 from gnnjax.problems.moveit import MoveItQuery, problem_from_moveit, query_from_moveit
-from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
+from gnnjax.problems.problem import Problem, ProblemSet, sample_problem, sample_scene
 from gnnjax.problems.shards import load_problems
 from gnnjax.roadmap.graph import Roadmap, connect, default_radius
 from gnnjax.roadmap.paths import cost_to_go, edge_validity
@@ -46,7 +46,6 @@ from gnnjax.scene.scene import (
     Scene,
     make_scene,
     pad_scene,
-    sample_scene,
     scene_from_shapes,
 )
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json

@@ -14,7 +14,7 @@ from gnnjax.arm_options import ArmOptions, load_bare_arm
 from gnnjax.errors import needs_extra, run_command
 from gnnjax.files import check_apart
 from gnnjax.problems.moveit import surroundings_from_moveit
-from gnnjax.query_options import read_request
+from gnnjax.query_options import SceneOptions, read_request
 from gnnjax.scene.any_file import is_moveit, read_scene
 from gnnjax.scene.holding import attach_from_json
 from gnnjax.trajectory.execution import (
@@ -29,12 +29,9 @@ from gnnjax.video import check_video, draw_video
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ExecuteConfig(ArmOptions):
+class ExecuteConfig(SceneOptions, ArmOptions):
     """Carry a motion out in MuJoCo, with contacts, by a controller that knows the arm's model."""
 
-    scene: Path
-    """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt) or .xml (a
-    MuJoCo model, less the robot in it)."""
     trajectory: Path
     """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json). What the
     arm held is in it, and what --joints, --hold and --allow were, but for a .csv."""

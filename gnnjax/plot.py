@@ -15,7 +15,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.scene import Scene, rotation_matrices
-from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
+from gnnjax.scene.shapes import KINDS, for_every_kind, known_kinds
 
 _MOST_POINTS = 5000  # of a cloud that are drawn
 _PIECE = 0.08  # m; pieces in which obstacles are drawn
@@ -33,6 +33,9 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
         scene: its obstacles.
         path: `[L, D]` configurations.
         out: picture file; its ending chooses the format.
+
+    Raises:
+        InputError: an ending that names no format; an obstacle that is of no kind.
     """
     check_picture(out)
     figure = Figure(figsize=(9, 4.4), layout="constrained")
@@ -225,7 +228,7 @@ def _obstacle_faces(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
     """Faces `[F, 4, 3]` m of each obstacle, and their colours `[F, 4]`."""
     found = []
     rotations = np.asarray(rotation_matrices(jnp.asarray(scene.quats)))
-    kinds = kind_of(scene.half_extents, scene.radii)
+    kinds = known_kinds(scene.half_extents, scene.radii, scene.mask)
     for i in np.flatnonzero(np.asarray(scene.mask)):
         sizes = np.asarray(scene.half_extents[i]), np.asarray(scene.radii[i])
         faces = _DRAW[KINDS[kinds[i]]](*sizes) @ rotations[i].T + np.asarray(scene.centers[i])

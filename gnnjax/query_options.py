@@ -17,12 +17,18 @@ from gnnjax.scene.scene import Scene, make_scene
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class QueryOptions(HoldingOptions):
-    """An arm, what stands around it, and where it is to go from where."""
+class SceneOptions:
+    """What stands around an arm."""
 
     scene: Path
     """File of the obstacles: .json (lists of them), .yaml (a planning scene of MoveIt), .xml (a
     MuJoCo model, less the robot in it), .bt or .ot (an octomap)."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class QueryOptions(SceneOptions, HoldingOptions):
+    """An arm, what stands around it, and where it is to go from where."""
+
     start: tuple[float, ...] | None = None
     """Joint values, rad."""
     goal: tuple[float, ...] | None = None

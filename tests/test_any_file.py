@@ -6,9 +6,11 @@ import jax
 import numpy as np
 import pytest
 
+from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_path
 from gnnjax.errors import InputError
+from gnnjax.execute import ExecuteConfig
 from gnnjax.plan import PlanConfig
 from gnnjax.plan import main as plan_once
 from gnnjax.scene.any_file import read_scene
@@ -62,6 +64,14 @@ def files(tmp_path_factory, tiny_path):
 def test_all_kinds_are_read(tiny_path, files, name):
     found = read_scene(files / name, load_robot(tiny_path))
     jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-7), found, BRICK)
+
+
+@pytest.mark.parametrize("config", [PlanConfig, ExecuteConfig])
+def test_help_names_all_endings(config, capsys):
+    with pytest.raises(SystemExit):
+        parse_arguments(config, args=["--help"], prog="do")
+    said = capsys.readouterr().out
+    assert all(ending in said for ending in (".json", ".yaml", ".xml", ".bt", ".ot"))
 
 
 @pytest.mark.parametrize("name", ["scene.txt", "none"])

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import (
     InputError,
     as_typed,
@@ -40,6 +41,10 @@ def with_text(kind: type, name: str) -> SimpleNamespace:
     [
         (lambda: inspect.unwrap(mesh)("a.stl", scale="1"), "scale of mesh 'a.stl' is '1'; give"),
         (lambda: inspect.unwrap(point_cloud)([[0, 0, 1]], None), "radius of the cloud is None; "),
+        (
+            lambda: inspect.unwrap(load_robot)("panda", hold=[("a", 1.0)]),
+            "hold is .*'a', 1.0.*; gi",
+        ),
         (lambda: inspect.unwrap(check_step)("1"), "dt is '1'; give a number"),
         (
             lambda: inspect.unwrap(check_motion_options)(None, with_text(MotionOptions, "blend")),

@@ -1,6 +1,7 @@
 """Arms that hold something: whoever knows the arm knows what it holds."""
 
 import functools
+import inspect
 import json
 import re
 
@@ -23,7 +24,7 @@ from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.allowed import held_bodies
-from gnnjax.scene.holding import attach_from_json
+from gnnjax.scene.holding import attach, attach_from_json
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
 from gnnjax.scene.pose import Pose
 from gnnjax.scene.scene import make_scene, scene_from_shapes
@@ -278,6 +279,11 @@ def test_what_cannot_be_held_is_refused_in_one_sentence(tiny, tiny_path, tmp_pat
         robot.attach(**arguments)
 
 
+def test_a_mass_that_is_no_number_is_refused(tiny):
+    with pytest.raises(InputError, match="mass is '1 kg'; give a number"):
+        inspect.unwrap(attach)(tiny, "lower", [THINGS["box"]], mass="1 kg")
+
+
 def test_an_arm_of_a_relative_path_holds_things_in_whatever_folder(
     tiny_path, tmp_path, monkeypatch
 ):
@@ -309,8 +315,12 @@ def test_a_file_says_what_is_held(tiny, tmp_path):
         ({"boxes": []}, "names no body; write"),
         ([1], "names no body; write"),
         ({"body": "lower", "mass": "heavy", "boxes": []}, "has mass = 'heavy'; give a number"),
+        ({"body": "lower", "mass": 10**400, "boxes": []}, "has mass = 10+.*; give a number .kg"),
         ({"body": "lower", "allow": "all"}, "has allow = 'all'; give a list of names"),
-        ({"body": "lower", "bowls": []}, r"has \['bowls'\], and there are only"),
+        (
+            {"body": "lower", "bowls": []},
+            r"\['bowls'\], .* only \['boxes', .*'body', 'mass', 'allow'\]",
+        ),
         (
             {"body": "lower", "boxes": [{"center": [0, 0, 0]}]},
             "box 0 of .* has half_extents = None",

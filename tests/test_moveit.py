@@ -99,8 +99,18 @@ def test_the_poses_of_frame_object_primitive_and_robot_are_composed(tmp_path, me
     assert local.apply(-row[:3])[2] > row[5]
 
 
-@pytest.mark.parametrize(("coef", "up"), [([0, 0, 1, 0.5], 1), ([0, 0, -2, -1.0], 1)])
-def test_a_plane_leaves_the_arm_on_the_side_of_its_base(tmp_path, message, coef, up):
+@pytest.mark.parametrize(
+    ("coef", "top"),
+    [
+        ([0, 0, 1, 0.5], -0.5),
+        ([0, 0, -2, -1.0], -0.5),
+        ([0, 0, 1, 0], 0),
+        ([0, 0, -1, 0], 0),
+        ([0, 0, -1, 1e-8], 0),
+        ([0.1, 0.2, -0.97, 0], 0),
+    ],
+)
+def test_a_plane_leaves_the_arm_on_the_side_of_its_base_or_above_it(tmp_path, message, coef, top):
     message["world"]["collision_objects"] = [
         {
             "id": "floor",
@@ -109,7 +119,17 @@ def test_a_plane_leaves_the_arm_on_the_side_of_its_base(tmp_path, message, coef,
         }
     ]
     (row,) = existing(read(tmp_path, message))["half_space"]
-    np.testing.assert_allclose(row[2] + up * row[5], -0.5, atol=1e-6)
+    up = Rotation.from_quat(row[6:10], scalar_first=True).apply([0, 0, 1])
+    np.testing.assert_allclose((row[:3] + row[5] * up)[2], top, atol=1e-5)
+    assert up[2] > 0
+
+
+def test_a_frame_is_the_same_with_and_without_a_slash(tmp_path, message):
+    transform = {"translation": [1, 2, 3], "rotation": [0, 0, 0, 1]}
+    message["fixed_frame_transforms"].append({"child_frame_id": "/camera", "transform": transform})
+    message["world"]["collision_objects"][0]["header"] = {"frame_id": "/camera"}
+    found = existing(read(tmp_path, message))["cylinder"]
+    np.testing.assert_allclose(found[0, :3], [1.5, 2.1, 3.3], rtol=1e-6)
 
 
 def test_an_object_may_have_the_pose_of_its_only_shapes(tmp_path, message):
@@ -207,6 +227,7 @@ def test_meshes_are_enclosed_where_they_stand(tmp_path, message):
         (put("world", "voxels", 3), r"world of .* has \['voxels'\]"),
         (put("world", dict.pop), "has no world; give what stands there"),
         (put(*FIRST, "primitive_poses", 0, "position", [0, 1e39, 0]), "3 finite numbers"),
+        (put("fixed_frame_transforms", 0, "child_frame_id", dict.pop), "has no child_frame_id"),
         (put("is_diff", True), "is a difference to another"),
         (put("link_padding", [{"link_name": "hand", "padding": 0.01}]), "link_padding 0.01"),
         (put("link_scale", [{"link_name": "hand", "scale": 1.0}]), None),

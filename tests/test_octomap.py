@@ -111,6 +111,11 @@ def test_octomaps_of_planning_scenes_are_read_where_they_are(form, tmp_path):
     wanted = turn.apply(np.array(OCCUPIED) + np.array([0.5, 0, 0])) + shift
     np.testing.assert_allclose(as_sorted(cloud.points[:2]), as_sorted(wanted), atol=1e-6)
     assert cloud.num == 2
+    tree["resolution"] = 10**400
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(message))
+    with pytest.raises(InputError, match=r"octomap of .* has the resolution 10+.*; give an edge"):
+        scene_from_moveit(tmp_path / "scene.yaml")
+    tree["resolution"] = 0.1
     tree["data"] = [int(x) for x in bits(c0=FREE)]
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(message))
     assert scene_from_moveit(tmp_path / "scene.yaml").cloud is None

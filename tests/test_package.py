@@ -30,7 +30,7 @@ def test_the_table_of_contents_is_complete():
 
 # Imports go down this list only.
 ORDER = """
-interruption notice errors arguments per_object files devices clock digest surroundings
+interruption notice errors arguments per_object files array_files devices clock digest surroundings
 memory_maps kept
 roll_call cluster
 arm.shipped
@@ -53,7 +53,7 @@ plot
 pose.goal pose.chain pose.solver pose.inverse pose.reasons
 guide.guide guide.view guide.motion guide.field guide.rest
 search.knowledge search.greedy search.lazy search.rounds search.shorten
-problems.problem problems.file problems.shards problems.camera
+problems.problem problems.arrays problems.file problems.shards problems.camera
 problems.structures problems.shelves problems.furniture problems.clutter problems.families
 problems.family_problem problems.labelled problems.moveit_names
 problems.moveit

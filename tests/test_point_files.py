@@ -35,7 +35,13 @@ def test_points_are_read_from_files(ending, tmp_path):
     np.testing.assert_allclose(points_from_file(file), points, rtol=1e-6)
     scene = scene_from_points(file, 0.01, None)
     assert scene.cloud.num == 50
-    if "pcd" in ending:  # cut off, as by a disk that was full
+    if "pcd" in ending:  # of which some would be left out
+        whole = file.read_bytes()
+        for promised in (b"49", b"-1"):
+            file.write_bytes(whole.replace(b"POINTS 50", b"POINTS " + promised))
+            with pytest.raises(InputError, match=r"it promises -?\d+ .*points, and there are \d+"):
+                points_from_file(file)
+        file.write_bytes(whole)  # cut off, as by a disk that was full
         file.write_bytes(file.read_bytes()[:-100])
         with pytest.raises(InputError, match=r"is no PCD file .*; save it anew"):
             points_from_file(file)

@@ -1,5 +1,6 @@
 """Poses: the configurations that reach them, by MuJoCo's own kinematics, and plans to them."""
 
+import inspect
 import itertools
 
 import jax
@@ -9,11 +10,13 @@ import numpy as np
 import pytest
 
 from gnnjax.arm.robot import load_robot
+from gnnjax.collision.certify import check_scene
 from gnnjax.collision.clearances import clearances
 from gnnjax.errors import InputError
 from gnnjax.pose.chain import chain_of, kinematics
 from gnnjax.pose.goal import PoseGoal, tool_frame
 from gnnjax.pose.inverse import inverse_kinematics
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
 
@@ -267,11 +270,19 @@ def test_a_bad_pose_is_refused_with_its_value(tiny, change, message):
         ({"num_solutions": 0}, "num_solutions is 0; ask for 1 or more"),
         ({"margin": -0.1}, "margin is -0.1; it must be 0 m or more"),
         ({"seed": -1}, "seed is -1"),
+        ({"scene": stack_scenes([make_scene([], [])] * 2)}, "the scene is 2 in one; give one"),
+        ({"near": [0.0, 10**400, 0.0]}, "near is .*; tiny needs 3 joint values"),
     ],
 )
 def test_bad_options_are_refused(tiny, options, message):
     with pytest.raises(InputError, match=message):
         inverse_kinematics(tiny, GOOD, **options)
+
+
+def test_what_is_no_scene_is_refused(tiny, monkeypatch):
+    monkeypatch.setattr("gnnjax.pose.inverse.check_scene", inspect.unwrap(check_scene))
+    with pytest.raises(InputError, match="the scene is a int; make one with make_scene"):
+        inspect.unwrap(inverse_kinematics)(tiny, GOOD, 5)
 
 
 def test_a_quaternion_that_is_nearly_of_length_1_is_normalized(six):

@@ -82,6 +82,15 @@ def test_objects_are_never_pickled(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", ["start", "goal", "robot", "format", "file"])
+def test_an_extra_whose_name_is_taken_is_not_written(tmp_path, name):
+    problem_set = random_set()
+    problem_set.extras[name] = np.zeros(6)
+    with pytest.raises(InputError, match=f"extra is called '{name}', a name that is taken"):
+        save_problems(tmp_path / "set.npz", problem_set)
+    assert not (tmp_path / "set.npz").exists()
+
+
 def test_what_is_no_problem_set_is_not_written(tmp_path, robot):
     good = random_set()
     start, goal, scene = good.problems
@@ -124,6 +133,15 @@ def test_anything_on_padding_is_harmless(tmp_path, robot):
         "meshes",
         "blob_quats",
         "Obstacles",
+        "half_spaces",
+        "height_fields",
+        "cuboids",
+        "cuboid_dims",
+        "blocks",
+        "balls",
+        "obb",
+        "pillars",
+        "aabb-2",
     ],
 )
 def test_an_array_that_names_obstacles_is_refused_read_or_written(tmp_path, robot, name):
@@ -193,6 +211,7 @@ def put(value, *where):
         (changed("box_quats", put(0, 1, 0)), "must be a rotation"),
         (changed("box_centers", put(2e4, 1, 0)), "must be below 10000 m"),
         (changed("box_half_extents", put(2e4, 1, 0)), "must be below 10000 m"),
+        (changed("format", lambda x: x + 1), "has format 3, this one reads format 2; generate it"),
     ],
 )
 def test_wrong_arrays_are_named_with_their_file(tmp_path, robot, damage, message):

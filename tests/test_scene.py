@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 import gnnjax.scene.scene_file
 from gnnjax.errors import InputError
+from gnnjax.problems.problem import sample_scene
+from gnnjax.scene.numbers import rotation_of
 from gnnjax.scene.scene import (
     BOX_BUCKETS,
     Scene,
@@ -18,9 +20,9 @@ from gnnjax.scene.scene import (
     make_scene,
     pad_scene,
     rotation_matrices,
-    sample_scene,
 )
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
+from gnnjax.scene.shapes import z_axis
 
 BOX = {"center": [0.5, 0.0, 0.7], "half_extents": [0.1, 0.3, 0.2]}
 
@@ -109,6 +111,8 @@ def test_rotation_matrices_agree_with_scipy():
     quats = Rotation.random(50, rng=np.random.default_rng(1)).as_quat(scalar_first=True)
     expected = Rotation.from_quat(quats, scalar_first=True).as_matrix()
     np.testing.assert_allclose(rotation_matrices(jnp.asarray(quats)), expected, atol=1e-6)
+    np.testing.assert_allclose(z_axis(quats), expected[..., 2], atol=1e-12)
+    np.testing.assert_allclose(rotation_of(3 * quats[0], "it"), expected[0], atol=1e-12)
 
 
 def test_half_a_milliradian_is_a_rotation_and_a_missing_box_has_none():
@@ -168,6 +172,8 @@ def test_what_a_scene_file_holds_beside_obstacles_is_refused_and_named(tmp_path,
     with pytest.raises(
         InputError, match=rf"scene\.json' has \['{further}'\], and there are only \['boxes'"
     ):
+        scene_from_json(path)
+    with pytest.raises(InputError, match=r"'clouds', 'meshes', 'height_fields', 'octomaps', 'al"):
         scene_from_json(path)
 
 

@@ -1,25 +1,34 @@
 """Every consumer of obstacles has an entry for every kind, or cannot be imported."""
 
 import importlib
+import inspect
 import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from gnnjax.errors import InputError
 from gnnjax.plot import _obstacle_faces
+from gnnjax.problems.file import save_problems
+from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene import shapes
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import Balls
-from gnnjax.scene.scene import scene_from_shapes
+from gnnjax.scene.mujoco_world import build_world, place_boxes
+from gnnjax.scene.scene import inflated, scene_from_shapes
+from gnnjax.scene.scene_file import scene_to_json
 from gnnjax.scene.shapes import KINDS, TABLES, Shape, box, capsule, cylinder, for_every_kind, sphere
+from gnnjax.viewer.answers import Query
+from gnnjax.viewer.session import Session
 
 # Whatever meets obstacles; a new one belongs here.
 CONSUMERS = {
     "scene file": "gnnjax.scene.scene_file",
     "MuJoCo world": "gnnjax.scene.mujoco_world",
     "MJX backend": "gnnjax.collision.mjx",
-    "problem file": "gnnjax.problems.file",
+    "problem file": "gnnjax.problems.arrays",
     "picture": "gnnjax.plot",
     "change of frame": "gnnjax.scene.pose",
     "held object": "gnnjax.scene.held",
@@ -102,6 +111,41 @@ def test_an_entry_that_is_no_kind_is_refused():
 def test_what_is_no_shape_or_no_cloud_is_not_left_out_of_a_scene(shapes, clouds, message):
     with pytest.raises(InputError, match=message):
         scene_from_shapes(shapes, clouds=clouds)
+
+
+def placed_in_mujoco(scene, tiny, file):
+    model = build_world(tiny, len(scene.mask))
+    place_boxes(model, mujoco.MjData(model), scene)
+
+
+def saved_as_problems(scene, tiny, file):
+    ends = np.zeros((1, 3), np.float32)
+    problems = Problem(ends, ends, stack_scenes([scene]))
+    save_problems(file, ProblemSet("tiny", problems))
+
+
+def edited(scene, tiny, file):
+    Session(tiny, Query(scene, np.zeros(3), np.zeros(3)), solve=None, reach=None)
+
+
+@pytest.mark.parametrize(
+    "consumer",
+    [
+        placed_in_mujoco,
+        saved_as_problems,
+        edited,
+        lambda scene, tiny, file: _obstacle_faces(scene),
+        lambda scene, tiny, file: scene_to_json(scene, file),
+    ],
+)
+def test_a_box_that_a_margin_has_rounded_is_of_no_kind(tiny, tmp_path, monkeypatch, consumer):
+    monkeypatch.setattr(Session, "__init__", inspect.unwrap(Session.__init__))
+    scene = scene_from_shapes([box([0.5, 0, 0.5], [0.1, 0.1, 0.1]), sphere([0, 0.5, 0.5], 0.1)])
+    consumer(scene, tiny, tmp_path / "scene")
+    with pytest.raises(InputError, match=r"obstacle 0 of (the scene|problem 0) is of no kind of"):
+        consumer(inflated(scene, 0.02), tiny, tmp_path / "scene")
+    ball = scene_from_shapes([sphere([0, 0.5, 0.5], 0.1)])
+    consumer(inflated(ball, 0.02), tiny, tmp_path / "scene")  # which is a larger one
 
 
 def area(faces):

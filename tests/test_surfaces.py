@@ -117,10 +117,21 @@ def test_scene_files_hold_clouds_meshes_and_height_fields(tmp_path):
         ('{"meshes": [{"file": "no.stl", "solid": 3}]}', "solid = 3; give true or false"),
         ('{"height_fields": [{"heights": "no.npy", "size": [1, 1]}]}', "which is no .npy file"),
         ('{"height_fields": [{"heights": [[1, 2]], "size": [1, 1]}]}', r"give \[R, C\], 2 x 2"),
+        (
+            '{"clouds": [{"points": [[1, 2, 3]], "radius": HUGE}]}',
+            "has radius = 10+.*give a number",
+        ),
+        ('{"clouds": [{"points": [[1, 2, HUGE]]}]}', "are not numbers"),
+        ('{"height_fields": [{"heights": [[HUGE, 2], [1, 2]], "size": [1, 1]}]}', "not numbers"),
+        (
+            '{"height_fields": [{"heights": [[1, 1], [1, 1]], "size": [1, 1], "center": '
+            "[HUGE, 0, 0]}]}",
+            "center of the height field is .*; give 3 finite numbers",
+        ),
     ],
 )
 def test_broken_scene_files_are_refused_in_a_sentence(text, message, tmp_path):
-    (tmp_path / "scene.json").write_text(text)
+    (tmp_path / "scene.json").write_text(text.replace("HUGE", "1" + "0" * 400))
     with pytest.raises(InputError, match=message):
         scene_from_json(tmp_path / "scene.json")
 

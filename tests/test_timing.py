@@ -403,6 +403,14 @@ def test_paths_that_are_none_are_refused(tiny, path, message):
         time_path(tiny, NOTHING, path, velocity=1.0, acceleration=1.0)
 
 
+def test_paths_may_be_one_array(tiny):
+    paths = np.array([[[0.0, 0, 0], [0.3, 0, 0]], [[0.0, 0, 0], [0, 0.2, 0.1]]])
+    found = time_paths(tiny, NOTHING, paths, velocity=1.0, acceleration=1.0)
+    alone = [time_path(tiny, NOTHING, path, velocity=1.0, acceleration=1.0) for path in paths]
+    assert [x.duration for x in found] == [x.duration for x in alone]
+    assert time_paths(tiny, NOTHING, paths[:0], velocity=1.0, acceleration=1.0) == []
+
+
 @pytest.mark.parametrize("dt", [0.0, -1.0, np.nan, 1e-12])
 def test_steps_that_are_none_are_refused(tiny, dt):
     found = time_path(tiny, NOTHING, [[0, 0, 0], [1, 0, 0]], velocity=1.0, acceleration=1.0)

@@ -15,8 +15,9 @@ import numpy as np
 
 from gnnjax.arm.fit import Cover, fit_covers
 from gnnjax.arm.parts import Part
+from gnnjax.array_files import FileKind, read_arrays
 from gnnjax.errors import InputError
-from gnnjax.files import FileKind, atomic_write, cache_folder, read_arrays
+from gnnjax.files import atomic_write, cache_folder
 
 _LOG = logging.getLogger(__name__)
 

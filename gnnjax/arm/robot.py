@@ -172,7 +172,7 @@ def load_robot(
         raise InputError(f"joints is {joints!r}; give a list of names")
     held = hold or {}
     numbers = (int, float, np.number)
-    if not all(isinstance(x, numbers) for x in held.values()):
+    if not isinstance(held, Mapping) or not all(isinstance(x, numbers) for x in held.values()):
         raise InputError(f'hold is {brief(hold)}; give numbers by names, such as {{"finger": 0.0}}')
     pairs: tuple = tuple(allow or ())
     if isinstance(allow, str) or not all(_is_pair(pair) for pair in pairs):

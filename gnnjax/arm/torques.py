@@ -128,7 +128,7 @@ def positive_amounts(robot: Robot, name: str, values: Amounts) -> np.ndarray:
     """
     try:
         array = np.asarray(values, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     fits = array.shape in ((), (1,), (robot.num_dof,))
     if not fits or not ((array > 0) & np.isfinite(array)).all():

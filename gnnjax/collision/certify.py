@@ -238,14 +238,16 @@ def check_scene(scene: Scene) -> None:
     """Refuses one scene that nothing can be proven in.
 
     Raises:
-        InputError: what is no scene; a box that is not finite, has no size, or a quaternion that is
-            not normalized.
+        InputError: what is no scene, or several; a box that is not finite, has no size, or a
+            quaternion that is not normalized.
     """
     if not isinstance(scene, Scene):
         raise InputError(
             f"the scene is a {type(scene).__name__}; make one with make_scene, scene_from_shapes "
             "or scene_from_json"
         )
+    if np.ndim(scene.mask) != 1:
+        raise InputError(f"the scene is {len(scene.mask)} in one; give one after the other")
     for fault in scene_faults(scene):
         if fault is not None:
             raise InputError(fault)

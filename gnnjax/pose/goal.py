@@ -108,7 +108,7 @@ def check_goal(goal: PoseGoal) -> tuple[np.ndarray, np.ndarray]:
         raise InputError("the pose has all axes free, and asks for nothing; leave one out")
     try:
         most = np.asarray(goal.tolerance, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         most = np.zeros(0)
     if most.shape != (2,) or not (most > 0).all():
         raise InputError(f"the tolerance is {brief(goal.tolerance)}; give m and rad, both above 0")

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import rests
+from gnnjax.collision.certify import check_scene
 from gnnjax.collision.clearances import clearances
 from gnnjax.devices import cache_compilations, map_first, run_where_called
 from gnnjax.errors import InputError, brief, check_number, check_seed
@@ -83,7 +84,11 @@ def inverse_kinematics(
     if not margin >= 0:
         raise InputError(f"margin is {margin}; it must be 0 m or more")
     home = _configuration(robot, near)
-    scene = inflated(_no_scene() if scene is None else scene, margin)
+    if scene is None:
+        scene = _no_scene()
+    else:
+        check_scene(scene)
+    scene = inflated(scene, margin)
     targets = _targets(goal, position.reshape(-1, 3), quat.reshape(-1, 4))
     num = len(targets.position)
     found: list[list[Solutions]] = [[] for _ in range(num)]
@@ -121,7 +126,7 @@ def _configuration(robot: Robot, near: ArrayLike | None) -> np.ndarray:
         return robot.home
     try:
         q = np.asarray(near, np.float32)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         q = np.zeros(0, np.float32)
     if q.shape != (robot.num_dof,) or not np.isfinite(q).all():
         raise InputError(f"near is {brief(near)}; {robot.name} needs {robot.num_dof} joint values")

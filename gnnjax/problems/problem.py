@@ -5,13 +5,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.roadmap.sampled import sample_free
-from gnnjax.scene.scene import Scene, sample_scene
+from gnnjax.scene.scene import BOX_BUCKETS, Scene, box_scene
+from gnnjax.scene.shapes import IDENTITY_QUAT
 
 
 class Problem(NamedTuple):
@@ -48,7 +50,7 @@ class ProblemSet:
         scene = self.problems.scene
         try:
             start, goal = (np.asarray(x, float) for x in self.problems[:2])
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(
                 "start and goal of a problem set are no numbers [P D]; give a row for each problem"
             ) from None
@@ -74,6 +76,41 @@ class ProblemSet:
             for name, value in self.extras.items()
         }
         return ProblemSet(self.robot, jax.tree.map(lambda x: x[rows], self.problems), cut)
+
+
+def sample_scene(
+    key: jax.Array,
+    boxes_clear: Callable[[Scene], Bool[Array, " M"]],
+    *,
+    max_boxes: int = BOX_BUCKETS[0],
+    min_num: int = 2,
+    max_num: int = 9,
+    candidates: int = 8,
+) -> Scene:
+    """Draws a scene of the paper: axis-aligned boxes that leave the arm at q = 0 free.
+
+    Between `min_num` and `max_num` boxes, half extents uniform in [0.1, 0.3] m and centres uniform
+    in [-1, 1] x [-1, 1] x [0.5, 1.3] m. A box that touches the arm is drawn again: of `candidates`
+    draws a box, the first that is clear counts, and a box with none is left out (about 1 in 10^8
+    for the iiwa, which touches 9 % of them).
+
+    Args:
+        key: randomness.
+        boxes_clear: tells for each box of a scene whether the arm at q = 0 is clear of it.
+    """
+    num_key, size_key, center_key = jax.random.split(key, 3)
+    shape = (max_boxes * candidates, 3)
+    half_extents = jax.random.uniform(size_key, shape, minval=0.1, maxval=0.3)
+    centers = jax.random.uniform(
+        center_key, shape, minval=jnp.array([-1.0, -1.0, 0.5]), maxval=jnp.array([1.0, 1.0, 1.3])
+    )
+    quats = jnp.tile(jnp.array(IDENTITY_QUAT), (shape[0], 1))
+    everything = box_scene(centers, half_extents, quats, jnp.ones(shape[0], bool))
+    clear = boxes_clear(everything).reshape(max_boxes, candidates)
+    chosen = jnp.arange(max_boxes) * candidates + jnp.argmax(clear, axis=1)
+    num = jax.random.randint(num_key, (), min_num, max_num + 1)
+    mask = (jnp.arange(max_boxes) < num) & jnp.any(clear, axis=1)
+    return box_scene(centers[chosen], half_extents[chosen], quats[chosen], mask)
 
 
 def sample_problem(

@@ -88,7 +88,7 @@ def checked_points(points: Sequence | np.ndarray, source: str) -> np.ndarray:
     """Points as an array `[K, 3]`, or what is wrong with them; see `point_cloud`."""
     try:
         array = np.asarray(points, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"points of {source} are not numbers; give [K, 3]") from None
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         raise InputError(

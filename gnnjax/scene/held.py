@@ -77,7 +77,7 @@ def pose_from(pose: Sequence | None) -> Pose:
         return IDENTITY
     try:
         position, quat = (np.asarray(x, float) for x in pose)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"pose is {brief(pose)}; give a position and a quaternion") from None
     good = position.shape == (3,) and quat.shape == (4,) and np.isfinite([*position, *quat]).all()
     if not good or np.abs(quat).max() < 1e-3:

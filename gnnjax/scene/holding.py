@@ -19,8 +19,9 @@ from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import self_pairs, without_warnings
 from gnnjax.arm.parts import part_of_geom
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, brief, check_number
 from gnnjax.scene.held import Item, add_body, items_from, pose_from
+from gnnjax.scene.numbers import number_of
 from gnnjax.scene.pose import Pose
 from gnnjax.scene.scene_file import read_json, shapes_of
 
@@ -63,7 +64,9 @@ def attach(
         (item.kind, *(tuple(x.tolist()) for x in (*item.pose, item.size)))
         for item in items_from(shapes, pose_from(pose), body)
     )
-    mass = None if mass is None else float(mass)
+    if mass is not None:
+        check_number(mass, "mass")
+        mass = float(mass)
     return _attached(robot, Load(body, items, mass, tuple(sorted({*allow}))))
 
 
@@ -172,12 +175,11 @@ def attach_from_json(robot: Robot, path: str | Path) -> Robot:
     if not isinstance(data, dict) or not isinstance(data.get("body"), str):
         raise InputError(f'{called} names no body; write {{"body": "NAME", "boxes": [...]}}')
     body, mass, allow = data.pop("body"), data.pop("mass", None), data.pop("allow", [])
-    if mass is not None and type(mass) not in (int, float):
-        raise InputError(f"{called} has mass = {brief(mass)}; give a number (kg)")
+    mass = None if mass is None else number_of(mass, f"{called} has mass", "kg")
     if not isinstance(allow, list) or not all(isinstance(name, str) for name in allow):
         raise InputError(f"{called} has allow = {brief(allow)}; give a list of names of bodies")
-    shapes = shapes_of(data, called, repr(str(path)))
-    return attach(robot, body, shapes, mass=mass and float(mass), allow=allow)
+    shapes = shapes_of(data, ("body", "mass", "allow"), called, repr(str(path)))
+    return attach(robot, body, shapes, mass=mass, allow=allow)
 
 
 def _check(robot: Robot, body: str, allow: Sequence[str]) -> None:

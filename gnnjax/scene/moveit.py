@@ -29,6 +29,7 @@ JOINT_STATE = "header name position velocity effort".split()
 _ATTACHED = "link_name object touch_links detach_posture weight".split()
 _MULTI_DOF = "header joint_names transforms twist wrench".split()
 _TRANSFORM = ("translation", "rotation")
+_THROUGH_BASE = 1e-6  # m; files give poses in no more digits
 
 
 class Attached(NamedTuple):
@@ -62,11 +63,11 @@ def scene_from_moveit(path: str | Path) -> Scene:
     """Reads a planning scene of MoveIt (moveit_msgs/PlanningScene) from YAML.
 
     Boxes, spheres, cylinders, planes and meshes of the collision objects are read, and the octomap;
-    of a plane, all that lies beyond it from the base is taken, and meshes and occupied voxels are
-    enclosed as by `mesh` and `octomap`. Objects are in the planning frame, or in a frame that
-    `fixed_frame_transforms` names. Where the robot state places the robot by a joint of several
-    degrees of freedom, its root link is the base that the scene is seen from; else the planning
-    frame is.
+    of a plane, all that lies beyond it from the base is taken, or below it where it goes through
+    the base, and meshes and occupied voxels are enclosed as by `mesh` and `octomap`. Objects are in
+    the planning frame, or in a frame that `fixed_frame_transforms` names. Where the robot state
+    places the robot by a joint of several degrees of freedom, its root link is the base that the
+    scene is seen from; else the planning frame is.
 
     Raises:
         InputError: the file is missing or no YAML; it holds cones, or objects that are attached to
@@ -100,11 +101,14 @@ def scene_of(found: PlanningScene, called: str) -> Scene:
 
 
 def _beyond(shape: Shape) -> Shape:
-    """MoveIt's planes have no inside, but an arm gets through none: it is on its base's side."""
+    """MoveIt's planes have no inside, but an arm gets through none: it is on its base's side. Of
+    one through the base, it is on the upper side."""
     if shape.kind != "half_space":
         return shape
     point, normal = (np.asarray(shape.values[name], float) for name in ("point", "normal"))
-    return half_space(point, -normal) if point @ normal > 1e-9 else shape
+    above = point @ normal  # of the plane over the base, as the normal sees it
+    flipped = normal[2] < 0 if abs(above) < _THROUGH_BASE else above > 0
+    return half_space(point, -normal) if flipped else shape
 
 
 def read_planning_scene(path: str | Path) -> PlanningScene:
@@ -167,7 +171,9 @@ def _frames(message: dict, objects: list, called: str) -> dict[str, Pose]:
         inside = f"a transform of fixed_frame_transforms of {called}"
         fields = fields_of(value, ("header", "child_frame_id", "transform"), inside)
         planning.add(frame_id(fields, inside))
-        name = str(fields.get("child_frame_id", ""))
+        name = str(fields.get("child_frame_id") or "").lstrip("/")
+        if not name:
+            raise InputError(f"{inside} has no child_frame_id; name the frame that it is of")
         frames[name] = pose_of(fields.get("transform"), inside, _TRANSFORM)
     planning.discard("")
     if len(planning) > 1:

@@ -12,7 +12,7 @@ from gnnjax.scene.allowed import refuse_allowed
 from gnnjax.scene.cloud import Cloud
 from gnnjax.scene.own_points import distances_to_hull
 from gnnjax.scene.scene import Scene, obstacle_name
-from gnnjax.scene.shapes import KINDS, for_every_kind, kind_of
+from gnnjax.scene.shapes import KINDS, for_every_kind, known_kinds
 
 # Where obstacles that do not exist are put: far enough to be clear, near enough for float32.
 FAR_AWAY = 1e3
@@ -140,8 +140,8 @@ def place_boxes(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> Non
     """Gives the obstacles of a world a scene's kinds, places and sizes, in place.
 
     Raises:
-        InputError: a scene with a cloud, in a world that was built for another; or one in which
-            contacts are meant.
+        InputError: a scene with a cloud, in a world that was built for another; one in which
+            contacts are meant; or an obstacle that is of no kind.
     """
     refuse_allowed(scene, "a MuJoCo world")
     mask = np.asarray(scene.mask)
@@ -153,7 +153,7 @@ def place_boxes(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> Non
             f"the scene has a cloud of {points} points, and the MuJoCo world one of {spheres}; "
             "build the world with the scene's cloud"
         )
-    kinds = kind_of(scene.half_extents, scene.radii)
+    kinds = known_kinds(scene.half_extents, scene.radii, mask)
     for i, (body, geom, mocap) in enumerate(zip(*obstacles(model, len(mask)), strict=True)):
         exists = bool(mask[i])
         data.mocap_pos[mocap] = np.asarray(scene.centers[i]) if exists else [FAR_AWAY, 0, i]

@@ -1,9 +1,12 @@
 """Numbers of obstacles as people and files give them, checked and brought into one form."""
 
+import contextlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.scene.cloud import MOST_METERS
 from gnnjax.scene.shapes import (
@@ -82,6 +85,23 @@ def sums_from(kind: str, columns: dict[str, Sequence | np.ndarray], source: str)
     return sums_of(kind, values)
 
 
+def number_of(value: Any, called: str, unit: str = "") -> float:
+    """A number of a JSON file, where booleans and strings would pass for numbers in Python.
+
+    Args:
+        value: of the file.
+        called: what has it, and its name, in error messages.
+        unit: of the number, likewise.
+
+    Raises:
+        InputError: no number, or one too large for a computer's.
+    """
+    with contextlib.suppress(OverflowError):
+        if type(value) in (int, float):
+            return float(value)
+    raise InputError(f"{called} = {brief(value)}; give a number{unit and f' ({unit})'}")
+
+
 def unit_quats(quats: np.ndarray) -> np.ndarray:
     """Normalizes quaternions `[*batch, 4]`, however long they are; those of zeros stay."""
     quats = np.asarray(quats, float)
@@ -116,4 +136,23 @@ def rows(
             f"{kind} {int(bad.argmax())} of {source} has {name} {as_typed(array[bad.argmax()])}; "
             f"all numbers must be finite, and lengths below {MOST_METERS:g} m"
         )
+    return array
+
+
+def rotation_of(quat: Sequence | np.ndarray, called: str) -> np.ndarray:
+    """The rotation `[3, 3]` of a quaternion w x y z of any length, or what is wrong with it."""
+    array = vector_of(quat, f"quat of {called}", 4)
+    if np.linalg.norm(array) < 1e-3:
+        raise InputError(f"quat of {called} is {array.tolist()}; give a rotation as w x y z")
+    return quat_to_matrix(unit_quats(array))
+
+
+def vector_of(value: Sequence | np.ndarray, called: str, width: int = 3) -> np.ndarray:
+    """A vector as people give it, or what is wrong with it."""
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError):
+        array = np.zeros(0)
+    if array.shape != (width,) or not np.isfinite(array).all():
+        raise InputError(f"{called} is {value!r}; give {width} finite numbers")
     return array

@@ -16,9 +16,9 @@ import numpy as np
 
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.cloud import BUCKETS, Balls
+from gnnjax.scene.numbers import rotation_of, vector_of
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import IDENTITY_QUAT
-from gnnjax.scene.surfaces import rotation_of, vector_of
 
 _SIDE = 1 << 16  # voxels
 _HEADERS = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}
@@ -80,7 +80,7 @@ def voxels(data: bytes, binary: bool, kind: str, resolution: Any, called: str) -
     """
     try:
         edge = float(resolution)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         edge = 0.0
     if not 0 < edge < np.inf:
         raise InputError(f"{called} has the resolution {brief(resolution)}; give an edge in m")

@@ -48,7 +48,7 @@ def without_robot(
     array = checked_points(points, source)
     try:
         q = np.asarray(configuration, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         q = np.zeros(0)
     if q.shape != (robot.num_dof,) or not np.isfinite(q).all():
         raise InputError(

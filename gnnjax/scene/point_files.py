@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from gnnjax.arm.mesh_files import counts_back, ends_early
+from gnnjax.array_files import FileKind, read_arrays
 from gnnjax.errors import InputError
-from gnnjax.files import FileKind, read_arrays
 
 _ARRAYS = FileKind("file of points", "points", "save it anew by numpy.savez")
 _TYPES = {"F": "f", "U": "u", "I": "i"}  # of PCD's numbers, as NumPy calls them
@@ -75,14 +75,17 @@ def _read_pcd(file: Path, called: str) -> np.ndarray:
             rows = np.zeros((0, begin[-1]))
             if any(line.strip() for line in lines):
                 rows = np.loadtxt(lines, ndmin=2)
-            if len(rows) < count:
-                raise ValueError(f"it holds {len(rows)} of {count} points")
-            return rows[:count, begin[where]]
+            if len(rows) != count:
+                raise ValueError(f"it promises {count} points, and there are {len(rows)}")
+            return rows[:, begin[where]]
         if form == "binary":
             kinds = zip(fields, header["TYPE"], header["SIZE"], repeated, strict=True)
             record = np.dtype(
                 [(f"{i}", f"<{_TYPES[t]}{s}", n) for i, (_, t, s, n) in enumerate(kinds)]
             )
+            promised, given = count * record.itemsize, len(content) - at
+            if promised != given:
+                raise ValueError(f"it promises {promised} bytes of points, and there are {given}")
             rows = np.frombuffer(content, record, count, at)
             return np.stack([rows[f"{i}"].reshape(count) for i in where], axis=1).astype(float)
     except (ValueError, KeyError, UnicodeDecodeError) as error:

@@ -1,10 +1,10 @@
 """Scenes as JSON, for people to write by hand."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from gnnjax.arm.robot import Robot
@@ -12,6 +12,7 @@ from gnnjax.errors import InputError, brief
 from gnnjax.files import atomic_write
 from gnnjax.scene.allowed import allow_contacts, refuse_allowed
 from gnnjax.scene.cloud import Balls, point_cloud
+from gnnjax.scene.numbers import number_of
 from gnnjax.scene.octomap import octomap
 from gnnjax.scene.own_points import MARGIN, without_robot
 from gnnjax.scene.point_files import points_from_file
@@ -24,7 +25,7 @@ from gnnjax.scene.shapes import (
     Sums,
     described,
     for_every_kind,
-    kind_of,
+    known_kinds,
 )
 from gnnjax.scene.surfaces import height_field, mesh
 
@@ -87,7 +88,9 @@ def scene_from_json(path: str | Path, robot: Robot | None = None) -> Scene:
     ]
     clouds = [balls for balls in clouds if balls is not None]
     allow = _listed(data.pop("allow", []), "allow", called)
-    scene = scene_from_shapes(shapes_of(data, called, short), clouds=clouds, source=short)
+    scene = scene_from_shapes(
+        shapes_of(data, (*_CLOUDS, "allow"), called, short), clouds=clouds, source=short
+    )
     if not allow:
         return scene
     if robot is None:
@@ -126,11 +129,12 @@ def read_json(path: str | Path, what: str) -> Any:
         raise InputError(f"{called} is no JSON: {error}; mend it") from None
 
 
-def shapes_of(data: dict[str, Any], called: str, short: str) -> list[Shape]:
+def shapes_of(data: dict[str, Any], others: Sequence[str], called: str, short: str) -> list[Shape]:
     """The obstacles in the lists of a file.
 
     Args:
         data: the lists, by their names.
+        others: names of what else such a file may have, which is not among them.
         called: the file, in error messages.
         short: the same, in those of one obstacle.
 
@@ -141,7 +145,7 @@ def shapes_of(data: dict[str, Any], called: str, short: str) -> list[Shape]:
     # What is not read would be planned through.
     if unknown := sorted(data.keys() - set(known)):
         raise InputError(
-            f"{called} has {unknown}, and there are only {known}; enclose such "
+            f"{called} has {unknown}, and there are only {[*known, *others]}; enclose such "
             "obstacles in one of those, and remove what is none"
         )
     for name, listed in data.items():
@@ -168,9 +172,7 @@ def _read_cloud(
     for key in given.keys() & {"radius", "voxel", "scale", "depth", "margin"}:
         if given[key] is None and (name, key) == ("clouds", "voxel"):
             continue
-        if type(given[key]) not in (int, float):
-            raise InputError(f"{called} has {key} = {brief(given[key])}; give a number")
-        given[key] = float(given[key])
+        given[key] = number_of(given[key], f"{called} has {key}")
     if not isinstance(given.get("solid"), bool | None):
         raise InputError(f"{called} has solid = {brief(given['solid'])}; give true or false")
     for key in given.keys() & {"center", "quat", "size", "without_robot_at"}:
@@ -250,17 +252,10 @@ def _checked(kind: str, values: Any, called: str) -> dict[str, Any]:
 def scene_to_json(scene: Scene, path: str | Path) -> None:
     """Writes the existing obstacles of one scene as JSON that `scene_from_json` reads."""
     refuse_allowed(scene, "a scene file without an arm")
-    shapes = scene._replace(cloud=None)
-    one = jax.tree.map(lambda x: np.asarray(x)[np.asarray(scene.mask)], shapes)
-    kinds = kind_of(one.half_extents, one.radii)
-    if (kinds < 0).any():
-        raise InputError(
-            f"obstacle {int((kinds < 0).argmax())} of the scene is of no kind of {list(KINDS)}; "
-            "make scenes with make_scene or scene_from_shapes"
-        )
+    kinds = known_kinds(scene.half_extents, scene.radii, scene.mask)
     lists: dict[str, list] = {}
     for number, kind in enumerate(KINDS):
-        chosen = Sums(*(x[kinds == number] for x in one[:4]))
+        chosen = Sums(*(np.asarray(x)[kinds == number] for x in scene[:4]))
         columns = described(kind, chosen)
         found = [
             {

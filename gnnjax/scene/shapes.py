@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnnjax.errors import InputError
+
 # In Python, in problem files (`box_centers`) and, in the plural, in scene files.
 KINDS = ("box", "sphere", "capsule", "cylinder", "half_space")
 
@@ -193,6 +195,29 @@ def kind_of(half_extents: ArrayLike, radii: ArrayLike) -> np.ndarray:
     return np.where(huge, KINDS.index("half_space"), kinds)
 
 
+def known_kinds(half_extents: ArrayLike, radii: ArrayLike, mask: ArrayLike) -> np.ndarray:
+    """`kind_of` obstacles `[*batch, M]`, all of which that exist are of a kind; -1 for others.
+
+    Args:
+        half_extents: `[*batch, M, 3]` m.
+        radii: `[*batch, M, 2]` m, of disc and ball.
+        mask: `[*batch, M]`, true where the obstacle exists.
+
+    Raises:
+        InputError: one is of no kind, such as a box that `inflated` has rounded.
+    """
+    mask = np.asarray(mask)
+    kinds = np.where(mask, kind_of(half_extents, radii), -1)
+    if len(bad := np.argwhere(mask & (kinds < 0))):
+        *batch, which = bad[0].tolist()
+        where = f"problem {batch[0]}" if batch else "the scene"
+        raise InputError(
+            f"obstacle {which} of {where} is of no kind of {list(KINDS)}; make scenes with "
+            "make_scene or scene_from_shapes"
+        )
+    return kinds
+
+
 # Which of the sizes are positive: x, y, z of the box, the disc, the ball. A half-space is told from
 # a box by its size.
 _FORMS = {
@@ -201,6 +226,12 @@ _FORMS = {
     "capsule": (0, 0, 1, 0, 1),
     "cylinder": (0, 0, 1, 1, 0),
 }
+
+
+def z_axis(quats: ArrayLike) -> np.ndarray:
+    """Where unit quaternions `[*batch, 4]` turn z to, `[*batch, 3]`."""
+    w, x, y, z = np.moveaxis(np.asarray(quats, float), -1, 0)
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
 def described(kind: str, sums: Sums) -> dict[str, np.ndarray]:
@@ -213,8 +244,6 @@ def described(kind: str, sums: Sums) -> dict[str, np.ndarray]:
         "half_length": sums.half_extents[..., 2:],
     }
     if kind == "half_space":
-        w, x, y, _ = np.moveaxis(np.asarray(sums.quats, float), -1, 0)
-        z = sums.quats[..., 3]
-        normal = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], -1)
+        normal = z_axis(sums.quats)
         values |= {"normal": normal, "point": sums.centers + HALF_SPACE * normal}
     return {name: values[name] for name in FIELDS[kind]}

@@ -10,6 +10,7 @@ from gnnjax.arm.mesh_files import unit_of
 from gnnjax.errors import InputError, check_number
 from gnnjax.scene.cloud import MOST_METERS, RADIUS, Balls, point_cloud
 from gnnjax.scene.cloud import VOXEL as CLOUD_VOXEL
+from gnnjax.scene.numbers import rotation_of, vector_of
 from gnnjax.scene.point_files import by_trimesh, points_from_file
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import IDENTITY_QUAT
@@ -86,7 +87,7 @@ def height_field(
     called = "the height field"
     try:
         array = np.asarray(heights, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"heights of {called} are not numbers; give [R, C]") from None
     if array.ndim != 2 or min(array.shape) < 2:
         raise InputError(
@@ -217,31 +218,6 @@ def _inside(samples: np.ndarray, cell: float) -> np.ndarray:
     chosen = np.zeros_like(hollow)
     chosen[::every, ::every, ::every] = True
     return lower + (np.argwhere(hollow & chosen) + 0.5) * cell
-
-
-def rotation_of(quat: Sequence | np.ndarray, called: str) -> np.ndarray:
-    array = vector_of(quat, f"quat of {called}", 4)
-    norm = float(np.linalg.norm(array))
-    if norm < 1e-3:
-        raise InputError(f"quat of {called} is {array.tolist()}; give a rotation as w x y z")
-    w, x, y, z = array / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def vector_of(value: Sequence | np.ndarray, called: str, width: int = 3) -> np.ndarray:
-    try:
-        array = np.asarray(value, float)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
-    if array.shape != (width,) or not np.isfinite(array).all():
-        raise InputError(f"{called} is {value!r}; give {width} finite numbers")
-    return array
 
 
 def scene_from_points(

@@ -16,7 +16,8 @@ from gnnjax.collision.fused import boxes_clear
 from gnnjax.devices import map_first
 from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.problems.family_problem import draw_family_scene
-from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes, sample_scene
+from gnnjax.problems.problem import sample_scene
+from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes
 from gnnjax.training.parallel import on_each_device
 
 _MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has

@@ -11,8 +11,9 @@ import numpy as np
 from gnnjax.arm.choice import ArmChoice, choice_from_json
 from gnnjax.arm.load import Load, load_from_json
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.array_files import FileKind, read_arrays
 from gnnjax.errors import InputError, brief
-from gnnjax.files import FileKind, atomic_write, check_target, read_arrays
+from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.holding import attach_again
 from gnnjax.scene.scene_file import read_json
 from gnnjax.trajectory.states import Setpoints, check_setpoints, sample_trajectory

@@ -80,7 +80,7 @@ def time_path(
 def time_paths(
     robot: Robot,
     scene: Scene,
-    paths: Sequence[ArrayLike],
+    paths: Sequence[ArrayLike] | np.ndarray,
     *,
     margin: float = 0.0,
     proven: bool = False,
@@ -93,7 +93,7 @@ def time_paths(
 def find_motions(
     robot: Robot,
     scene: Scene,
-    paths: Sequence[ArrayLike],
+    paths: Sequence[ArrayLike] | np.ndarray,
     options: MotionOptions,
     margin: float,
     *,
@@ -104,7 +104,7 @@ def find_motions(
     check_number(margin, "margin")
     if not 0 <= margin < np.inf:
         raise InputError(f"margin is {margin}; give a clearance in metres, or 0")
-    if not paths:
+    if not len(paths):  # it may be an array
         return []
     if np.ndim(scene.mask) == 2 and len(scene.mask) != len(paths):
         raise InputError(f"{len(paths)} paths in {len(scene.mask)} scenes; give one scene a path")
@@ -127,7 +127,7 @@ def find_motions(
 def _checked(robot: Robot, path: ArrayLike) -> np.ndarray:
     try:
         array = np.asarray(path, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
     if array.ndim != 2 or array.shape[-1] != robot.num_dof or not len(array):
         raise InputError(

@@ -23,9 +23,10 @@ from gnnjax.scene.shapes import (
     described,
     for_every_kind,
     half_space,
-    kind_of,
+    known_kinds,
     sphere,
     sums_of,
+    z_axis,
 )
 from gnnjax.viewer.answers import Answer, Query, Reach, Solve, without_path
 from gnnjax.viewer.worker import Worker
@@ -174,9 +175,8 @@ class Session:
         if number not in self._shapes:
             return
         if self._shapes[number].kind == "half_space":
-            w, x, y, z = np.asarray(quat) / np.linalg.norm(quat)
-            normal = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)]
-            self.resize(number, point=np.asarray(position), normal=np.array(normal))
+            normal = z_axis(np.asarray(quat) / np.linalg.norm(quat))
+            self.resize(number, point=np.asarray(position), normal=normal)
         elif "quat" in FIELDS[self._shapes[number].kind]:
             self.resize(number, center=np.asarray(position), quat=np.asarray(quat))
         else:
@@ -184,13 +184,8 @@ class Session:
 
     def _read(self, scene: Scene) -> None:
         """Takes the obstacles of a scene over."""
-        kinds = kind_of(scene.half_extents, scene.radii)
+        kinds = known_kinds(scene.half_extents, scene.radii, scene.mask)
         for i in np.flatnonzero(scene.mask).tolist():
-            if kinds[i] < 0:
-                raise InputError(
-                    f"obstacle {i} of the scene is of no kind of {list(KINDS)}; make scenes with "
-                    "make_scene or scene_from_shapes"
-                )
             row = Sums(*(np.asarray(x[i], float) for x in scene[:4]))
             kind = KINDS[kinds[i]]
             values = described(kind, row)
