@@ -61,24 +61,14 @@ def _body(robot: Robot, name: str) -> int:
     known = [body.name for body in robot.bodies]
     if name in known and name:
         return known.index(name)
-    held = held_bodies(robot)
-    if name == _HELD and len(held) == 1:
-        return held[0]
+    if name == _HELD and len(robot.held_bodies) == 1:
+        return robot.held_bodies[0]
     raise InputError(f"no body {name!r} in {robot.name} to touch an obstacle; there are {known}")
-
-
-def held_bodies(robot: Robot) -> list[int]:
-    """Indices of the bodies that the arm holds, in the order in which they were attached."""
-    names = {i: body.name for i, body in enumerate(robot.bodies)}
-    held = [i for i, name in names.items() if name.startswith(f"{_HELD}_")]
-    # The arm's own name has them in that order; its bodies are in that of the links that hold them.
-    return sorted(held, key=lambda i: robot.name.find(names[i].removeprefix(f"{_HELD}_")))
 
 
 def last_link(robot: Robot) -> int:
     """Index of the arm's last body, but for what it holds, which may hang on one before."""
-    held = held_bodies(robot)
-    return max(b for b in range(len(robot.bodies)) if b not in held)
+    return max({*range(len(robot.bodies))} - {*robot.held_bodies})
 
 
 def arm_key(robot: Robot) -> np.uint32:
