@@ -296,4 +296,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, smaller="give a smaller --batch-size or --num-nodes")

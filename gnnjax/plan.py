@@ -136,4 +136,4 @@ def _check_of_motion(config: PlanConfig, moves: bool) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(parse_arguments(PlanConfig)))
+    run_command(lambda: main(parse_arguments(PlanConfig)), smaller="give a smaller --num-nodes")

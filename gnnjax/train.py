@@ -98,7 +98,8 @@ class TrainConfig(ArmOptions):
     validate_every: int = 4
     """Epochs between validations, which plan, and checkpoints."""
     validation_problems: int = 100
-    """Problems to plan, drawn apart from all others; 0 to validate nothing."""
+    """Problems to plan, drawn apart from all others, of the paper's family, also where the data are
+    of another; 0 to validate nothing."""
     figure: Path | None = None
     """Where a picture of the training curves goes, at each checkpoint (needs the viz extra)."""
     cluster: ConnectedCluster = UNCONNECTED
@@ -323,4 +324,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run_command(main, AGAIN)
+    run_command(main, AGAIN, "give a smaller --batch-size or fewer --channels")

@@ -278,4 +278,8 @@ def _check_config(config: TrainMotionConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: train_motion(parse_arguments(TrainMotionConfig)) and None, AGAIN)
+    run_command(
+        lambda: train_motion(parse_arguments(TrainMotionConfig)) and None,
+        AGAIN,
+        "give fewer --scenes or --motions",
+    )
