@@ -1,4 +1,4 @@
-"""Contacts that are meant: bodies of an arm that may touch obstacles, a gripper its handle, say.
+"""Allowed contacts: bodies of an arm that may touch obstacles, a gripper its handle, say.
 
 They are left out of every test, however deep the overlap, and out of clearances; whoever cannot do
 that refuses the scene. They are of one arm, and no other takes them.
@@ -77,7 +77,7 @@ def arm_key(robot: Robot) -> np.uint32:
 
 
 def check_allowed(robot: Robot, scene: Scene) -> None:
-    """Refuses a scene, or scenes, in which contacts are meant of another arm."""
+    """Refuses a scene, or scenes, whose allowed contacts are of another arm."""
     allowed = scene.allowed
     if allowed is None:
         return
@@ -87,23 +87,23 @@ def check_allowed(robot: Robot, scene: Scene) -> None:
 
 
 def check_arm(robot: Robot, arm: ArrayLike, fits: bool = True) -> None:
-    """Refuses contacts that are meant of an arm, or arms, with another `arm_key`, or that do not
-    fit otherwise."""
+    """Refuses allowed contacts of an arm, or arms, with another `arm_key`, or that do not fit
+    otherwise."""
     if not fits or (np.asarray(arm) != arm_key(robot)).any():
         raise InputError(
-            f"the contacts that are meant in the scene are not of {robot.name}; name them for that "
-            "arm with allow_contacts"
+            "the allowed contacts in this scene were declared for another arm, not "
+            f"{robot.name}; name them for that arm with allow_contacts"
         )
 
 
 def refuse_allowed(scene: Scene, who: str) -> None:
-    """Refuses a scene, or scenes, for what knows of no contacts that are meant.
+    """Refuses a scene, or scenes, for what knows of no allowed contacts.
 
     Raises:
         InputError: there are such contacts.
     """
     if scene.allowed is not None:
         raise InputError(
-            f"the scene has contacts that are meant, which {who} cannot leave out; take them out "
-            "of the scene: `allow` of its file, or scene._replace(allowed=None)"
+            f"the scene has allowed contacts, which {who} cannot leave out; take them out of the "
+            "scene: `allow` of its file, or scene._replace(allowed=None)"
         )

@@ -83,7 +83,7 @@ def execute_trajectory(
 
     Args:
         robot: the arm, as the controller knows it; what it holds is in its model, with its mass.
-        scene: one scene, in which no contacts are meant.
+        scene: one scene, without allowed contacts.
         trajectory: of `time_path`; or states of a motion, between which it is interpolated.
         controller: "computed_torque", or "position" (servos), see `gnnjax.trajectory.control`.
         torque: limits of motors, N m or N, one for all joints or one each; the model's by default.
