@@ -47,8 +47,8 @@ class HoldingOptions(ArmOptions):
     """JSON file with what the arm holds: {"body": NAME, "boxes": [...]}, lists as in a scene, in
     the frame of that body; "mass" (kg) and "allow" (bodies that it may touch) if need be."""
     rest_share: float | None = None
-    """Share of the motors' torques, above 0, up to 1, that may hold the arm at rest, with what it
-    holds: where it takes more, nothing is planned. Motions want some to move; none by default."""
+    """Plan only where the arm can be held with this share (0 to 1] of its motors' torques, payload
+    included. Leave some for moving. Default: no such limit."""
 
 
 def load_bare_arm(name: str, options: JointOptions) -> Robot:

@@ -73,7 +73,8 @@ class Share(NamedTuple):
     numbers: np.ndarray  # [n] of the problems
 
     def at_home(self) -> AbstractContextManager:
-        """Where its functions have to be called; what is compiled elsewhere is compiled anew."""
+        """Context in which to call jitted functions, so that they are not recompiled for another
+        device."""
         return nullcontext() if self.device is None else jax.default_device(self.device)
 
 

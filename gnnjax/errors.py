@@ -129,7 +129,9 @@ def _for_the_shell(said: str) -> str:
 
 
 def run_command(
-    main: Callable[[], int | None], again: str = "start the same command again"
+    main: Callable[[], int | None],
+    again: str = "start the same command again",
+    smaller: str = "ask for less at once",
 ) -> NoReturn:
     """Runs a command's `main` and exits with its status, without a traceback for bad input. Where
     nobody reads on what it prints (`| head`), it ends without a word, with status 141.
@@ -137,6 +139,7 @@ def run_command(
     Args:
         main: the command.
         again: what a user does to go on after an interruption.
+        smaller: what a user does where memory does not suffice.
     """
     notice.silence()
     for name in ("stdout", "stderr"):  # which may have been closed before
@@ -144,7 +147,7 @@ def run_command(
             setattr(sys, name, open(os.devnull, "w"))
     status = 128 + 13  # of what SIGPIPE has ended, in shells
     with contextlib.suppress(BrokenPipeError):
-        status = _status(main, again)
+        status = _status(main, again, smaller)
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -153,7 +156,7 @@ def run_command(
     sys.exit(status)
 
 
-def _status(main: Callable[[], int | None], again: str) -> Any:
+def _status(main: Callable[[], int | None], again: str, smaller: str) -> Any:
     """Runs `main` and says what went wrong."""
     try:
         with interruption.running(again):
@@ -177,7 +180,7 @@ def _status(main: Callable[[], int | None], again: str) -> Any:
     except (MemoryError, jax.errors.JaxRuntimeError) as error:
         if not is_out_of_memory(error):
             raise
-        said = one_line(f"not enough memory; ask for fewer nodes ({error})")
+        said = one_line(f"not enough memory; {smaller} ({error})")
     print(f"error: {said}", file=sys.stderr)
     return 2
 

@@ -69,7 +69,7 @@ class EvaluateConfig(HoldingOptions, PlannerOptions):
     processes: int = 1
     """Processes that share each batch, each on a core of its own; not for OMPL's planners. They
     are workers of this one, on its machine, and take turns batch by batch: times are those of a
-    batch. Of --distributed each process has batches, and workers, of its own."""
+    batch. With --distributed, every process has its own batches and workers."""
     time_limit: float = 5.0
     """Seconds a problem may take; a path that comes later is a failure."""
     seed: int = 0
@@ -296,4 +296,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, smaller="give a smaller --batch-size or --num-nodes")

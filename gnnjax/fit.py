@@ -112,10 +112,16 @@ def mjcf_of_spheres(robot: Robot) -> str:
     folder = (robot.path.parent / spec.meshdir).resolve()
     if spec.meshes:
         spec.meshdir = str(folder)
-    if robot.velocity_limit is not None and not any(
-        numeric.name == "velocity_limit" for numeric in spec.numerics
-    ):
-        spec.add_numeric(name="velocity_limit", data=robot.velocity_limit.astype(float))
+    limits = {
+        "velocity_limit": robot.velocity_limit,
+        "acceleration_limit": robot.acceleration_limit,
+    }
+    for numeric in list(spec.numerics):  # which may have those of joints that are held
+        if numeric.name in limits:
+            spec.delete(numeric)
+    for name, limit in limits.items():
+        if limit is not None:
+            spec.add_numeric(name=name, data=limit.astype(float))
     # That of the file is gone where it has joints that are held.
     middle = robot.mj_model.jnt_range.mean(axis=1).astype(np.float32)
     if not any(key.name == "home" for key in spec.keys) and (robot.home != middle).any():

@@ -194,4 +194,7 @@ def _draw_shards(robot: Robot, folder: Path, num: int, ours: dict[str, Any], pla
 
 
 if __name__ == "__main__":
-    run_command(lambda: generate(parse_arguments(GenerateConfig)) and None)
+    run_command(
+        lambda: generate(parse_arguments(GenerateConfig)) and None,
+        smaller="give a smaller --shard-size or --num-nodes",
+    )

@@ -39,7 +39,7 @@ class PlanConfig(QueryOptions, PlannerOptions, MotionOptions):
     there is no display, MUJOCO_GL=egl)."""
     clearance: tyro.conf.Suppress[bool] = True  # which is printed
     dt: float = 0.01
-    """Of the motion: seconds between the states in its file."""
+    """Seconds between the states in the motion's file."""
 
 
 def main(config: PlanConfig) -> int:
@@ -136,4 +136,4 @@ def _check_of_motion(config: PlanConfig, moves: bool) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: main(parse_arguments(PlanConfig)))
+    run_command(lambda: main(parse_arguments(PlanConfig)), smaller="give a smaller --num-nodes")

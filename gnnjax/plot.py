@@ -14,10 +14,12 @@ from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, check_target
+from gnnjax.scene.allowed import last_link
 from gnnjax.scene.scene import Scene, rotation_matrices
 from gnnjax.scene.shapes import KINDS, for_every_kind, known_kinds
 
 _MOST_POINTS = 5000  # of a cloud that are drawn
+_BESIDE = 0.25  # of the arm's extent: how far beside it obstacles are in the picture
 _PIECE = 0.08  # m; pieces in which obstacles are drawn
 _OBSTACLE, _BASE = np.array([0.6, 0.6, 0.6, 0.35]), np.array([0.45, 0.45, 0.45, 0.9])
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
@@ -41,9 +43,10 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
     figure = Figure(figsize=(9, 4.4), layout="constrained")
     shots = _along(path, 7)
     positions, rotations = (np.asarray(x) for x in forward_kinematics(robot, jnp.asarray(shots)))
-    tip = np.asarray(forward_kinematics(robot, jnp.asarray(_along(path, 200)))[0])[:, -1]
+    along = forward_kinematics(robot, jnp.asarray(_along(path, 200)))
+    tip = np.asarray(along[0])[:, last_link(robot)]
     colors = matplotlib.colormaps["coolwarm"](np.linspace(0, 1, len(shots)))
-    parts, drawn = _part_faces(robot), _obstacle_faces(scene)
+    parts, obstacles, drawn = _part_faces(robot), _obstacle_faces(scene), []
     still = (np.ptp(rotations, axis=0) < 1e-3).all(axis=(1, 2))  # on the way from start to goal
     still &= (np.ptp(positions, axis=0) < 1e-3).all(axis=1)
     for shot, color in enumerate(colors):
@@ -56,23 +59,39 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
                 drawn.append((placed, _shaded(placed, color)))
             elif shot == 0:
                 drawn.append((placed, _shaded(placed, _BASE)))
-    faces, colors = (np.concatenate(x) for x in zip(*drawn, strict=True))
+    lower, upper = _limits([placed for placed, _ in drawn], [x for x, _ in obstacles], tip)
+    faces, colors = (np.concatenate(x) for x in zip(*obstacles, *drawn, strict=True))
     for column, azimuth in enumerate((-60, 30), start=1):
         axes = figure.add_subplot(1, 2, column, projection="3d", computed_zorder=True)
         # All in one, or what is in front is not told face by face.
         axes.add_collection3d(Poly3DCollection(faces, facecolors=colors, linewidth=0))
         _draw_cloud(axes, scene)
         axes.plot(*tip.T, color="black", linewidth=1.2, linestyle=":")
-        axes.set(xlim=(-0.9, 0.9), ylim=(-0.9, 0.9), zlim=(0, 1.35))
-        axes.set(xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5), zticks=(0, 0.5, 1))
+        axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+        axes.locator_params(nbins=4)
         axes.set(xlabel="x [m]", ylabel="y [m]")
-        axes.set_box_aspect((1.8, 1.8, 1.35), zoom=1.15)
+        axes.set_box_aspect(upper - lower, zoom=1.15)
         axes.view_init(elev=22, azim=azimuth)
     figure.suptitle(
         f"{robot.name}: from start (blue) to goal (red) in {len(path) - 1} straight motions; "
         "dotted: the last link"
     )
     atomic_write(out, lambda file: figure.savefig(file, dpi=130))
+
+
+def _limits(
+    arm: list[np.ndarray], obstacles: list[np.ndarray], tip: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Corners `[3]` m of what a picture shows, the base in its middle: the arm wherever it is
+    drawn, the way of its tip, and obstacles as far as they are near."""
+    own = np.concatenate([*(faces.reshape(-1, 3) for faces in arm), tip])
+    lower, upper = own.min(axis=0), own.max(axis=0)
+    margin = _BESIDE * (upper - lower).max()
+    others = [faces.reshape(-1, 3).clip(lower - margin, upper + margin) for faces in obstacles]
+    shown = np.concatenate([own, *others])
+    side = np.abs(shown[:, :2]).max()
+    lower, upper = shown[:, 2].min(), shown[:, 2].max()
+    return np.array([-side, -side, lower]), np.array([side, side, upper])
 
 
 def draw_cover(robot: Robot, out: str | Path) -> None:
@@ -112,7 +131,7 @@ def draw_cover(robot: Robot, out: str | Path) -> None:
         axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
         axes.set_box_aspect(upper - lower)
         axes.set_axis_off()
-    figure.suptitle(f"{robot.name}: {len(robot.geom_radii)} spheres and capsules")
+    figure.suptitle(f"{robot.name}: {len(robot.geom_radii)} spheres")
     atomic_write(out, lambda file: figure.savefig(file, dpi=130))
 
 

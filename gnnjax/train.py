@@ -4,44 +4,40 @@ The preset `paper` learns as Diao, Chi and Wang do: walk k ~ U{1..10} steps with
 learn the next node of the shortest path from the node reached. The default preset learns from every
 step of the walk and from every node of the roadmap, and with a second head which edges are valid.
 
-Options, step and loop of the command are together here, to be read from top to bottom.
+Options, data and loop of the command are together here, to be read from top to bottom; a step is in
+`paper/step.py`.
 """
 
 import argparse
 import dataclasses
 import functools
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import nnx
 from jax.sharding import Mesh
 
 from gnnjax.arguments import parse_arguments
-from gnnjax.arm.robot import Robot
 from gnnjax.arm_options import ArmOptions, load_bare_arm
 from gnnjax.cluster import UNCONNECTED, ConnectedCluster
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, run_command
-from gnnjax.guide.view import point_distances
-from gnnjax.paper.losses import graph_losses
 from gnnjax.paper.network import GuidanceNetwork, Part
+from gnnjax.paper.step import LOSS_OPTIONS, make_step, validate
 from gnnjax.paper.strategy import gnn
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import Planner, WalkPlanner
+from gnnjax.planning.planner import WalkPlanner
 from gnnjax.problems.labelled import (
-    LabelledRoadmap,
     from_problem_set,
     generate_labelled,
     problem_keys,
 )
-from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import load_problems
-from gnnjax.training.parallel import all_devices, dealt, mean_over_devices
+from gnnjax.training.optimizer import warmed_adamw
+from gnnjax.training.parallel import all_devices, dealt
 from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
 
 
@@ -98,7 +94,8 @@ class TrainConfig(ArmOptions):
     validate_every: int = 4
     """Epochs between validations, which plan, and checkpoints."""
     validation_problems: int = 100
-    """Problems to plan, drawn apart from all others; 0 to validate nothing."""
+    """Problems to plan, drawn apart from all others, of the paper's family, also where the data are
+    of another; 0 to validate nothing."""
     figure: Path | None = None
     """Where a picture of the training curves goes, at each checkpoint (needs the viz extra)."""
     cluster: ConnectedCluster = UNCONNECTED
@@ -132,73 +129,12 @@ PRESETS = {
 }
 
 
-LOSS_OPTIONS = ("max_walk", "every_step", "all_nodes", "temperature", "validity_weight")
-
-
 def make_optimizer(config: TrainConfig, num_steps: int) -> optax.GradientTransformation:
     """The optimizer of a run of `num_steps` steps."""
     if config.optimizer == "sgd":
         decay = optax.add_decayed_weights(config.weight_decay)
         return optax.chain(decay, optax.sgd(config.learning_rate))
-    warmup = min(200, num_steps // 10 + 1)
-    decay = max(num_steps, warmup + 1)  # also for a run of one step
-    rate = optax.warmup_cosine_decay_schedule(0.0, config.learning_rate, warmup, decay)
-    return optax.chain(
-        optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=config.weight_decay)
-    )
-
-
-def make_step(
-    graphdef: Any,
-    optimizer: optax.GradientTransformation,
-    robot: Robot,
-    config: TrainConfig,
-    mesh: Mesh | None = None,
-) -> Callable[[TrainState, LabelledRoadmap, jax.Array], tuple[TrainState, dict[str, jax.Array]]]:
-    """The jitted step: one batch of roadmaps, gradients added graph by graph."""
-
-    options = {name: getattr(config, name) for name in LOSS_OPTIONS}
-
-    points = config.workspace_points
-    distances = point_distances(robot, points) if points else None
-
-    def loss(weights: Any, data: LabelledRoadmap, key: jax.Array):
-        losses = graph_losses(nnx.merge(graphdef, weights), data, key, distances, **options)
-        return losses["loss"], losses
-
-    gradient_of = jax.value_and_grad(loss, has_aux=True)
-
-    def mean(weights: Any, graphs: tuple[LabelledRoadmap, jax.Array]):
-        def add(total, graph):
-            (_, losses), gradient = gradient_of(weights, *graph)
-            return jax.tree.map(jnp.add, total, (losses, gradient)), None
-
-        # On a CPU one graph after the other is twice as fast as side by side.
-        first = jax.tree.map(lambda x: x[0], graphs)
-        (_, losses), gradient = jax.eval_shape(gradient_of, weights, *first)
-        zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), (losses, gradient))
-        total, _ = jax.lax.scan(add, zeros, graphs)
-        return jax.tree.map(lambda x: x / len(graphs[1]), total)
-
-    mean_of_all = mean_over_devices(mean, mesh)
-
-    @jax.jit
-    def step(state: TrainState, data: LabelledRoadmap, keys: jax.Array):
-        losses, gradient = mean_of_all(state.weights, (data, keys))
-        updates, optimizer_state = optimizer.update(gradient, state.optimizer, state.weights)
-        return TrainState(optax.apply_updates(state.weights, updates), optimizer_state), losses
-
-    return step
-
-
-def validate(planner: Planner, problems: Problem) -> dict[str, float]:
-    """Plans problems once each, as in the paper: one roadmap, no second try."""
-    plans = planner.plan_batch(problems)
-    return {
-        "success": float(np.mean([plan.success for plan in plans])),
-        "edge_checks": float(np.mean([plan.edge_checks or 0 for plan in plans])),
-        "cost": float(np.mean([plan.cost for plan in plans if plan.success] or [np.nan])),
-    }
+    return warmed_adamw(config.learning_rate, num_steps, 200, config.weight_decay)
 
 
 def train(config: TrainConfig) -> Path:
@@ -251,7 +187,8 @@ def _train(config: TrainConfig, mesh: Mesh | None) -> Path:
         validation = generate_labelled(robot, 0)(keys)
     graphdef, weights = nnx.split(network)
     optimizer = make_optimizer(config, num_steps)
-    step = make_step(graphdef, optimizer, robot, config, mesh)
+    losses = {name: getattr(config, name) for name in LOSS_OPTIONS}
+    step = make_step(graphdef, optimizer, robot, config.workspace_points, losses, mesh)
     state = TrainState(weights, optimizer.init(weights))
 
     def one_step(state: TrainState, epoch: int, number: int):
@@ -323,4 +260,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    run_command(main, AGAIN)
+    run_command(main, AGAIN, "give a smaller --batch-size or fewer --channels")

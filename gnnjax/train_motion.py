@@ -30,6 +30,7 @@ from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import ArmView, arm_view
 from gnnjax.scene.scene import Scene
 from gnnjax.training.motions import make_scene_batches, motion_sampler
+from gnnjax.training.optimizer import warmed_adamw
 from gnnjax.training.parallel import all_devices, dealt, mean_over_devices, on_each_device
 from gnnjax.training.run import AGAIN, Training, TrainState, check_bounds, run_training
 
@@ -206,11 +207,9 @@ def _train_motion(config: TrainMotionConfig, mesh: Mesh | None) -> Path:
     robots = [load_bare_arm(name, config) for name in config.robots]
     network = MotionNetwork(config.num_points, config.channels, rngs=nnx.Rngs(config.seed))
     graphdef, weights = nnx.split(network)
+    # Two updates a step; of the warm-up there are as many as a tenth of the steps.
     warmup = min(100, config.steps // 10 + 1)
-    rate = optax.warmup_cosine_decay_schedule(
-        0.0, config.learning_rate, warmup, max(2 * config.steps, warmup + 1)
-    )
-    optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate))
+    optimizer = warmed_adamw(config.learning_rate, 2 * config.steps, warmup)
     step = make_step(graphdef, optimizer, mesh)
     batches, validations = [], []
     for robot in robots:
@@ -278,4 +277,8 @@ def _check_config(config: TrainMotionConfig) -> None:
 
 
 if __name__ == "__main__":
-    run_command(lambda: train_motion(parse_arguments(TrainMotionConfig)) and None, AGAIN)
+    run_command(
+        lambda: train_motion(parse_arguments(TrainMotionConfig)) and None,
+        AGAIN,
+        "give fewer --scenes or --motions",
+    )

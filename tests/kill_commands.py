@@ -10,7 +10,6 @@ from unittest import mock
 
 import jax
 import numpy as np
-import optax
 from conftest import TINY
 from flax import nnx
 
@@ -212,10 +211,10 @@ def _train_motion(folder: Path) -> None:
     scores = np.array([0.0, 1.0]), np.array([False, True])
     with contextlib.ExitStack() as stack:
         stack.enter_context(_without_jax())
-        stack.enter_context(mock.patch.object(optax, "chain", return_value=_OPTIMIZER))
         for name, cheap in {
             "MotionNetwork": _Network,
             "make_scene_batches": lambda *args: None,
+            "warmed_adamw": lambda *args: _OPTIMIZER,
             "make_batches": lambda *args: lambda key: key,
             "make_step": lambda *args: _step,
             "make_validation": lambda *args: lambda weights, key: scores,

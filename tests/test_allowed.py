@@ -1,4 +1,4 @@
-"""Contacts that are meant are left out of every test, and nothing beside them."""
+"""Allowed contacts are left out of every test, and nothing beside them."""
 
 import json
 import re
@@ -265,7 +265,7 @@ def test_a_held_thing_is_put_down_and_its_name_stands_for_it(robot):
     assert plan.certified
     assert certify_path(holding, meant, plan.path)
     assert not certify_path(holding, table, plan.path)
-    with pytest.raises(InputError, match="contacts that are meant in the scene are not of hand;"):
+    with pytest.raises(InputError, match="declared for another arm, not hand; name them"):
         certify_path(robot, meant, plan.path)
     with pytest.raises(InputError, match="no body 'held' in hand to touch"):
         allow_contacts(robot, table, [("held", "box 0")])
@@ -310,7 +310,7 @@ def test_whoever_cannot_leave_contacts_out_refuses_the_scene(robot, scene, bare,
         lambda: allow_contacts(robot, wrong, MEANT),
     ]
     for refuse in refusals:
-        with pytest.raises(InputError, match="contacts that are meant"):
+        with pytest.raises(InputError, match="allowed contacts"):
             refuse()
     assert list(tmp_path.iterdir()) == []
 

@@ -136,10 +136,39 @@ def test_torque_and_acceleration_limits_are_those_of_the_file(tmp_path):
     np.testing.assert_allclose(robot.acceleration_limit, [1, 2, 3])
     assert robot.velocity_limit is None
     few = written(tmp_path, EQUALITY + numeric.replace("DATA", "1 2"))
-    with pytest.raises(InputError, match=r"acceleration_limit in .* is .*; it needs 5 positive"):
+    with pytest.raises(
+        InputError, match=r"acceleration_limit in .* is .*; it needs 5 or 3 positive"
+    ):
         load_robot(few.rename(tmp_path / "few.xml"))
     weak = written(tmp_path, change=lambda text: text.replace(' forcerange="-7 7"', ""))
     assert load_robot(weak.rename(tmp_path / "weak.xml")).torque_limit is None
+
+
+def test_limits_of_the_joints_that_are_planned_by_default_are_those_of_a_choice_too(tmp_path):
+    numeric = '<custom><numeric name="velocity_limit" data="1 2 3"/></custom>'
+    path = written(tmp_path, EQUALITY + numeric)
+    for choice, expected in (
+        ({}, [1, 2, 3]),
+        ({"hold": {"bend": 0.0}}, [1, 3]),
+        ({"joints": ["bend"]}, [2]),
+        ({"hold": {"turn": 0.0}, "joints": ["bend", "slip"]}, [2, 3]),
+    ):
+        np.testing.assert_allclose(load_robot(path, **choice).velocity_limit, expected)
+    # A finger is not among those.
+    chosen = {"joints": ["turn", "left"], "hold": {"right": 0.01}}
+    assert load_robot(path, **chosen).velocity_limit is None
+    with pytest.raises(InputError, match="it needs 5 or 3 or 1 positive numbers"):
+        load_robot(written(tmp_path, EQUALITY + numeric.replace("1 2 3", "1 2")), joints=["turn"])
+
+
+@pytest.mark.parametrize(
+    "choice", [{"hold": {"joint_2": 0}}, {"joints": ["joint_1", "joint_3", "joint_7"]}]
+)
+def test_joints_of_a_shipped_arm_can_be_chosen(choice):
+    robot, whole = load_robot("franka_panda", **choice), load_robot("franka_panda")
+    rows = [whole.joint_names.index(name) for name in robot.joint_names]
+    np.testing.assert_array_equal(robot.velocity_limit, whole.velocity_limit[rows])
+    np.testing.assert_array_equal(robot.acceleration_limit, whole.acceleration_limit[rows])
 
 
 def test_an_arm_on_a_free_base_is_planned_for_by_its_named_joints(tmp_path):

@@ -196,6 +196,15 @@ def test_both_checkers_agree(robot, fused_maker):
     assert 0 < sum(a for a, _ in found) < len(found)
 
 
+def test_neither_checker_takes_what_motors_cannot_hold(robot):
+    weak = robot.at_rest_within(0.8, torque=5.0)
+    scene = make_scene([], [], max_boxes=NUM_BOXES)
+    fused, _ = fused_checks(weak, True, NUM_BOXES, 0.05)(scene, Ledger())
+    engine, _ = mujoco_checks(weak, NUM_BOXES)(scene, Ledger())
+    for q, held in (([0.0, 0.0, 0.0], False), ([0.0, -1.2, 0.0], True)):
+        assert fused(np.float32(q)) == engine(np.float32(q)) == held
+
+
 def test_the_next_process_finds_the_compiled_checks(robot, monkeypatch):
     kept = []
 

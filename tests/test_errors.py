@@ -115,11 +115,11 @@ def test_a_seed_that_jax_cannot_take_is_refused(seed):
             2,
             "error: Permission denied: /x; check its permissions",
         ),
-        (MemoryError("no room"), 2, "error: not enough memory; ask for fewer nodes (no room)"),
+        (MemoryError("no room"), 2, "error: not enough memory; ask for less at once (no room)"),
         (
             jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: 9 TB"),
             2,
-            "error: not enough memory; ask for fewer nodes (RESOURCE_EXHAUSTED: 9 TB)",
+            "error: not enough memory; ask for less at once (RESOURCE_EXHAUSTED: 9 TB)",
         ),
     ],
 )
@@ -131,6 +131,16 @@ def test_a_command_says_in_one_line_what_went_wrong(error, status, line, capsys)
         run_command(main)
     assert exit_info.value.code == status
     assert capsys.readouterr().err == line + "\n"
+
+
+def test_a_command_tells_what_of_its_own_takes_less_memory(capsys):
+    def main():
+        raise MemoryError("no room")
+
+    with pytest.raises(SystemExit):
+        run_command(main, smaller="give a smaller --batch-size")
+    said = "error: not enough memory; give a smaller --batch-size (no room)\n"
+    assert capsys.readouterr().err == said
 
 
 def test_a_command_returns_its_status():

@@ -1,6 +1,7 @@
 """Motions carried out in simulation, against plain loops and closed forms."""
 
 import inspect
+import re
 
 import mujoco
 import numpy as np
@@ -16,6 +17,7 @@ from gnnjax.scene.cloud import point_cloud
 from gnnjax.scene.mujoco_world import obstacles
 from gnnjax.scene.scene import make_scene, scene_from_shapes
 from gnnjax.scene.shapes import box, sphere
+from gnnjax.trajectory import execution
 from gnnjax.trajectory.control import control, inertias
 from gnnjax.trajectory.execution import (
     execute_trajectories,
@@ -243,12 +245,29 @@ def test_clouds_are_touched_and_touches_of_the_arm_itself_are_seen(robot, motion
     assert found.touched
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_why_an_arm_does_not_rest_is_told_of_place_and_speed(robot, motion, monkeypatch, moves):
+    real = execution.simulate
+
+    def simulate_otherwise(*args):
+        (run,) = real(*args)
+        (run.velocities if moves else run.positions)[-2, 1] += 0.5
+        return [run]
+
+    monkeypatch.setattr(execution, "simulate", simulate_otherwise)
+    found = execute_trajectory(robot, NOTHING, motion, torque=TORQUE)
+    assert not found.settled
+    place, speed = (r"\S+e-\S+", "0.5") if moves else ("0.5", r"\S+e-\S+")
+    said = rf"joint b is {place} rad away from it and moves at {speed} rad/s \(0.02 allowed\)"
+    assert re.fullmatch(f"the arm does not rest at the goal: at the end {said}", found.reason)
+
+
 def test_a_controller_that_diverges_is_data(robot, motion):
     late = ModelErrors(delay=0.08)
     found = execute_trajectory(robot, NOTHING, motion, torque=TORQUE, errors=late)
     assert not found.success
     assert not found.settled
-    assert "from where it should be after" in found.reason
+    assert re.match(r"joint . was \S+ rad from where it should be after", found.reason)
     assert len(found.trace.times) < len(
         execute_trajectory(robot, NOTHING, motion, torque=TORQUE).trace.times
     )

@@ -211,6 +211,34 @@ def test_the_command_shows_and_saves_spheres_that_load_as_the_same_arm(tmp_path,
     np.testing.assert_allclose(saved.mj_model.body_inertia, robot.mj_model.body_inertia, atol=1e-5)
 
 
+LIMITS = """<custom><numeric name="velocity_limit" data="1.25 2.5"/>
+<numeric name="acceleration_limit" data="7 9"/></custom></mujoco>"""
+URDF = """<robot name="arm"><link name="base"/><link name="upper"><collision><geometry>
+<box size="0.1 0.1 0.4"/></geometry></collision></link><link name="lower"><collision>
+<origin xyz="0 0 0.5"/><geometry><sphere radius="0.1"/></geometry></collision></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+<limit lower="-2" upper="2" effort="40" velocity="1.5" acceleration="6"/></joint>
+<joint name="bend" type="revolute"><parent link="upper"/><child link="lower"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="30" velocity="2" acceleration="8"/></joint></robot>
+"""
+
+
+@pytest.mark.parametrize("hold", [(), (("turn", 0.3),)])
+@pytest.mark.parametrize("kind", ["xml", "urdf"])
+def test_saved_arms_keep_their_limits(tmp_path, kind, hold):
+    path, out = tmp_path / f"arm.{kind}", tmp_path / "round.xml"
+    named = BRICKS.replace('<joint axis="0 0 1"', '<joint name="turn" axis="0 0 1"')
+    path.write_text(URDF if kind == "urdf" else named.replace("</mujoco>", LIMITS))
+    robot = fit(FitConfig(str(path), out=out, hold=hold))
+    saved = load_robot(out)
+    assert saved.num_dof == 2 - len(hold)
+    np.testing.assert_allclose(saved.velocity_limit, robot.velocity_limit)
+    np.testing.assert_allclose(saved.acceleration_limit, robot.acceleration_limit)
+    for limit in (saved.torque_limit, robot.torque_limit):
+        expected = [40, 30][len(hold) :]
+        assert limit is None if kind == "xml" else limit.tolist() == expected
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -25,6 +25,7 @@ from gnnjax.scene.scene import make_scene
 from tests.fine_scan import random_scene
 
 TURNS = ("rx", "ry", "rz")
+PLACES = ("x", "y", "z")
 START = [-1.5, 0.0, 0.0]
 BOX = {"centers": [[0.6, 0.0, 0.0]], "half_extents": [[0.1, 0.1, 0.1]]}
 
@@ -159,6 +160,10 @@ def test_what_stands_in_the_way_of_a_pose_is_named(planner):
     where = place(robot, [1.0, 0.5, 0.0])
     with pytest.raises(InputError, match=r"if it may turn freely, it comes to 0\.0 mm"):
         planner.plan(free, START, goal_pose=PoseGoal(where, [0.0, 1.0, 0, 0]))
+    # A turn alone: nothing is left of it where it may turn freely.
+    for axes in (PLACES, (*PLACES, "rz")):
+        with pytest.raises(InputError, match=r"does not reach .* limit( of \S+)?; choose a pose"):
+            planner.plan(free, START, goal_pose=PoseGoal(where, [0.0, 0, 1.0, 0], free=axes))
     pose = PoseGoal(place(robot, [0.0, 0.0, 0.0]), [1.0, 0, 0, 0], free=TURNS)
     with pytest.raises(
         InputError,

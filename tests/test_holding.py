@@ -20,15 +20,17 @@ from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.planning.query import check_queries
 from gnnjax.plot import draw_plan
+from gnnjax.pose.goal import tool_frame
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.problems.shards import load_problems
-from gnnjax.scene.allowed import held_bodies
+from gnnjax.scene.allowed import allow_contacts, last_link
 from gnnjax.scene.holding import attach, attach_from_json
 from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
 from gnnjax.scene.pose import Pose
 from gnnjax.scene.scene import make_scene, scene_from_shapes
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
+from tests.conftest import TINY
 from tests.draws import random_configurations
 
 NUM = 300  # configurations in every batch: kernels are compiled once
@@ -223,6 +225,22 @@ def test_its_mass_and_inertia_are_in_the_model_and_the_arm_is_as_it_was(tiny):
     assert placed.mj_model.body_mass.sum() == pytest.approx(before.sum())
 
 
+def test_links_that_are_called_like_what_is_held_are_none_of_it(tmp_path):
+    path = tmp_path / "held_arm.xml"
+    path.write_text(TINY.replace('"lower"', '"held_camera_mount"').replace('"middle"', '"held_x"'))
+    for choice in ({}, {"allow": [("upper", "held_camera_mount")]}):
+        robot = load_robot(path, **choice)
+        assert robot.held_bodies == ()
+        assert tool_frame(robot).name == "held_camera_mount"
+        holding = robot.attach("held_x", [THINGS["box"]]).attach("upper", [THINGS["box"]])
+        (body, other), last = holding.held_bodies, last_link(holding)
+        assert holding.bodies[last].name == tool_frame(holding).name == "held_camera_mount"
+        holders = [holding.bodies[holding.bodies[b].parent].name for b in (body, other)]
+        assert holders == ["held_x", "upper"]
+    with pytest.raises(InputError, match="no body 'held' in"):
+        allow_contacts(robot, make_scene([[1, 0, 0]], [[0.1] * 3]), [("held", "box 0")])
+
+
 def test_an_arm_that_holds_two_things_is_no_other_arm(tiny, holding, tmp_path):
     other = tiny.attach("lower", [THINGS["box"]])
     both = other.attach("middle", [sphere([0.1, 0.0, 0.15], 0.03)])
@@ -233,7 +251,7 @@ def test_an_arm_that_holds_two_things_is_no_other_arm(tiny, holding, tmp_path):
     # The last that was taken is what problems are about, whichever link holds it.
     holders = "middle", "lower"
     turned = functools.reduce(lambda arm, body: arm.attach(body, [THINGS["box"]]), holders, tiny)
-    found = [turned.bodies[turned.bodies[b].parent].name for b in held_bodies(turned)]
+    found = [turned.bodies[turned.bodies[b].parent].name for b in turned.held_bodies]
     assert tuple(found) == holders
     scene = make_scene([], [])
     problems = jax.tree.map(lambda x: np.asarray(x)[None], Problem(tiny.home, tiny.home, scene))

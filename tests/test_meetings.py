@@ -45,6 +45,13 @@ def test_links_that_meet_nearly_always_may_be_allowed_to(hand, end):
         check_query(hand, FREE, np.array(q["start"]), np.array(q["goal"]))
 
 
+def test_links_are_links_however_they_are_called(tmp_path):
+    path = tmp_path / "hand.xml"
+    path.write_text(HAND.replace('"left"', '"held_left"'))
+    with pytest.raises(InputError, match=r"give allow=\[\('held_left', 'right'\)\]$"):
+        check_query(load_robot(path), FREE, np.zeros(3), np.array([0.5, 0.0, 0.1]))
+
+
 def test_what_is_held_may_touch_what_it_always_meets_or_be_held_otherwise(hand):
     allowed = load_robot(hand.path, allow=[("left", "right")])
     holding = allowed.attach("left", [sphere([0.1, 0, 0], 0.06)], allow=["hand"])

@@ -216,6 +216,14 @@ def test_unknown_parts_are_refused():
         small_network("paper", ["gat", "gru"])
 
 
+def test_points_of_the_arm_without_what_they_need_are_refused():
+    with pytest.raises(InputError, match="workspace_points is 3 and needs validity_head and geom"):
+        GuidanceNetwork(workspace_points=3, validity_head=False, rngs=nnx.Rngs(0))
+    network = nnx.eval_shape(lambda: GuidanceNetwork(workspace_points=3, rngs=nnx.Rngs(0)))
+    with pytest.raises(InputError, match="distances of 3 points of the arm; give point_distances"):
+        network.encode(make_roadmap(*random_graph()), boxes_and_padding())
+
+
 def test_environment_code_agrees_with_numpy(models):
     net = models["paper"].net
     nodes, adjacent = random_graph()

@@ -124,7 +124,10 @@ GOAL = ("goal_constraints", 0)
         (put(*GOAL, "joint_constraints", 0, "position", float("inf")), "position in .* finite"),
         (put(*GOAL, "joint_constraints", 0, "tolerance_above", -1), "must not be negative"),
         (put(*GOAL, "joint_constraints", 0, "joint_name", "a"), "constrains a twice"),
-        (put("path_constraints", {"joint_constraints": [{}]}), "has path_constraints, which no"),
+        (
+            put("path_constraints", {"joint_constraints": [{}]}),
+            "has path_constraints; path constraints are not supp",
+        ),
         (put("path_constraints", {"name": "x", "joint_constraints": []}), None),
         (put("start_state", "joint_state", dict.pop), "start_state of .* lacks a, b, c"),
         (put("start_state", "joint_state", "position", [1.0]), "has 1 positions for the joints"),

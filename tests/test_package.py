@@ -65,13 +65,14 @@ planning.strategy planning.walks planning.looks planning.guided planning.pool pl
 planning.shortcuts planning.tree planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.steps trajectory.execution
-training.weights training.checkpoint training.parallel training.motions training.figure training.run
+training.weights training.checkpoint training.optimizer training.parallel training.motions
+training.figure training.run
 paper.encoding paper.graphs paper.occupancy paper.validity paper.network paper.strategy
 baselines.ledger baselines.ompl
 measure.machine measure.own_planner measure.rows measure.batches measure.result_files
 measure.statistics measure.table measure.figure
-arm_options generate paper.losses train train_motion evaluate planner_arena video query_options plan
-plot_execution execute fit
+arm_options generate paper.losses paper.step train train_motion evaluate planner_arena video
+query_options plan plot_execution execute fit
 viewer.frames viewer.meshes viewer.worker viewer.answers viewer.session viewer.prices viewer.stage
 viewer.player viewer.ends viewer.obstacles viewer.saving viewer.downloads viewer.panel viewer.page
 view __main__

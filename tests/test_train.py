@@ -23,11 +23,12 @@ from gnnjax.generate import GenerateConfig, generate
 from gnnjax.paper.graphs import edge_bucket
 from gnnjax.paper.losses import graph_losses, step_targets, walk_losses
 from gnnjax.paper.network import GuidanceNetwork
+from gnnjax.paper.step import LOSS_OPTIONS
 from gnnjax.planning.load import load_planner
 from gnnjax.problems.labelled import from_problem_set
 from gnnjax.problems.shards import load_problems
 from gnnjax.roadmap.graph import GOAL
-from gnnjax.train import LOSS_OPTIONS, PRESETS, make_optimizer, parse, train
+from gnnjax.train import PRESETS, make_optimizer, parse, train
 from gnnjax.training.checkpoint import TrainingCheckpoints
 from gnnjax.training.run import TrainingRun, TrainState
 from gnnjax.training.weights import load_network, read_metadata
@@ -38,17 +39,23 @@ jitted_targets = jax.jit(step_targets, static_argnums=1)
 @pytest.fixture(scope="module", autouse=True)
 def compiled_once():
     """Trainings that differ in nothing but their folders share what they compile."""
-    steps, planners = {}, {}
+    optimizers, steps, planners = {}, {}, {}
     make_step, make_planner = gnnjax.train.make_step, gnnjax.train.WalkPlanner
 
-    def shared_step(graphdef, optimizer, robot, config, mesh):
-        key = dataclasses.replace(config, out=Path(), resume=False), mesh
-        return steps.setdefault(key, make_step(graphdef, optimizer, robot, config, mesh))
+    def shared_optimizer(config, num_steps):
+        key = dataclasses.replace(config, out=Path(), resume=False), num_steps
+        return optimizers.setdefault(key, make_optimizer(config, num_steps))
+
+    def shared_step(graphdef, optimizer, robot, points, options, mesh):
+        key = graphdef, id(optimizer), robot, points, tuple(options.items()), mesh
+        made = make_step(graphdef, optimizer, robot, points, options, mesh)
+        return steps.setdefault(key, made)
 
     def shared_planner(robot, strategy, options):
         return planners.setdefault(options, make_planner(robot, strategy, options))
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gnnjax.train, "make_optimizer", shared_optimizer)
         patch.setattr(gnnjax.train, "make_step", shared_step)
         patch.setattr(gnnjax.train, "WalkPlanner", shared_planner)
         yield
@@ -361,10 +368,6 @@ def test_the_state_of_every_optimizer_is_kept(network, tmp_path, name):
     assert jax.tree.structure(restored) == jax.tree.structure(state)
     for ours, theirs in zip(*map(jax.tree.leaves, (restored, state)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_a_run_of_one_step_has_an_optimizer():
-    assert make_optimizer(PRESETS["smoke"], 1)
 
 
 @pytest.mark.parametrize(

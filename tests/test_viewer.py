@@ -396,8 +396,13 @@ def test_prices_are_the_guides_along_what_the_hand_does(tiny, planner):
     empty = price(query._replace(scene=make_scene([], [])))
     assert empty.prices.max() < 1e-3
     walks = load_planner(tiny.path, "lazysp", num_nodes=60)
-    with pytest.raises(InputError, match="planner 'lazysp', which draws one for each query"):
+    message = "anew for each query with planner 'lazysp'; use 'guided' to see its prices"
+    with pytest.raises(InputError, match=message):
         make_pricer(walks, frames, 0)
+    drawn = load_planner(tiny.path, num_nodes=60, sampled=True)
+    message = "anew for each query with sampled=True; leave it out to see its prices"
+    with pytest.raises(InputError, match=message):
+        make_pricer(drawn, frames, 0)
 
 
 def test_a_hand_is_brought_to_a_pose_or_it_is_said_what_is_in_the_way(tiny):

@@ -1,6 +1,8 @@
 """What an arm holds, in full: as much as `attach` needs to do it again, and as files have it."""
 
 import hashlib
+import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -29,10 +31,26 @@ class Load(NamedTuple):
         """How the arm is called that holds this, and was called `name` before."""
         return f"{name}_holding_{self.digest(name)}"
 
+    def body_name(self, name: str) -> str:
+        """How the body is called that is what an arm holds that was called `name` before."""
+        return f"held_{self.digest(name)}"
+
     def as_json(self) -> dict[str, Any]:
         """In words, lists and numbers, from which `load_from_json` makes the same."""
         items = [dict(zip(("kind", *_ITEM), item, strict=True)) for item in self.items]
         return {**self._asdict(), "items": items}
+
+
+def names_with(name: str, loads: Sequence[Load]) -> list[str]:
+    """How an arm of some name is called without any of the loads, with the first of them, and so
+    on."""
+    return [*itertools.accumulate(loads, lambda so_far, load: load.name_of(so_far), initial=name)]
+
+
+def held_names(name: str, loads: Sequence[Load]) -> list[str]:
+    """How the bodies are called that are what an arm holds, of some name without them."""
+    before = names_with(name, loads)[:-1]
+    return [load.body_name(each) for load, each in zip(loads, before, strict=True)]
 
 
 def load_from_json(data: Any) -> Load:

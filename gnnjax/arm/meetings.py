@@ -9,7 +9,6 @@ from gnnjax.arm.robot import Robot
 
 _OFTEN = 0.5  # share of configurations from which on another one is no remedy
 _SAMPLES = 200
-_HELD = "held_"  # how the bodies begin of what is held
 
 
 def remedy_of(robot: Robot, first: str, second: str) -> str:
@@ -20,14 +19,13 @@ def remedy_of(robot: Robot, first: str, second: str) -> str:
     if not {first, second} <= numbers.keys():
         return another
     pair = numbers[first], numbers[second]
-    bodies = [
-        robot.bodies[b].name if b >= 0 else "world" for b in (robot.parts[p].body for p in pair)
-    ]
+    bodies = [robot.parts[p].body for p in pair]
+    names = [robot.bodies[b].name if b >= 0 else "world" for b in bodies]
     share = meeting_share(robot, *pair)
-    if share < _OFTEN or not all(bodies):
+    if share < _OFTEN or not all(names):
         return another
     said = f", as they do in {100 * share:.0f} % of all configurations; "
-    links = [name for name in bodies if not name.startswith(_HELD)]
+    links = [name for b, name in zip(bodies, names, strict=True) if b not in robot.held_bodies]
     if len(links) < 2:
         named = f"let allow of what is held name {links[0]!r}, or " if links else ""
         return f"{said}{named}hold it in another pose"

@@ -70,10 +70,11 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
             'let it collide with nothing (<contact contype="0" conaffinity="0"/>)'
         )
     choice = choose_joints(model, path, joints, hold)
-    by_itself = joints is None and not hold
-    if not by_itself:
+    default = None if joints is not None or hold else choice
+    if default is None:
         with contextlib.suppress(InputError):  # by itself it is no arm that can be planned for
-            by_itself = choice == choose_joints(model, path, None, {})
+            default = choose_joints(model, path, None, {})
+    by_itself = choice == default
     for name in (joint_name(model, j) for j in choice.planned):
         if name in no_room:
             lower, upper = no_room[name]
@@ -85,10 +86,11 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     home = None
     if key >= 0:
         home = model.key_qpos[key, model.jnt_qposadr[choice.planned]].copy()
+    listed = [list(range(model.njnt)), default.planned if default else [], choice.planned]
     velocities, accelerations = (
         _by_name(model, given[kind], choice.planned)
         if given
-        else _numeric(model, path, f"{kind}_limit", choice.planned)
+        else _numeric(model, path, f"{kind}_limit", listed, choice.planned)
         for kind in ("velocity", "acceleration")
     )
     limits = velocities, accelerations, _torques(model, choice.planned)
@@ -172,8 +174,17 @@ def _remove_geoms(spec: mujoco.MjSpec, model: mujoco.MjModel, geoms: set[int]) -
         spec.delete(geom)
 
 
-def _numeric(model: mujoco.MjModel, path: Path, name: str, planned: list[int]) -> np.ndarray | None:
-    """Numbers of the planned joints, from a `<numeric>` with one for each joint, or each of them.
+def _numeric(
+    model: mujoco.MjModel, path: Path, name: str, listed: list[list[int]], planned: list[int]
+) -> np.ndarray | None:
+    """Numbers of the planned joints, from a `<numeric>`; None where one of them has none.
+
+    Args:
+        model: the whole arm.
+        path: for messages.
+        name: of the numeric.
+        listed: joints that it may have a number for each of; the first list of its size counts.
+        planned: joints whose numbers are asked for.
 
     Raises:
         InputError: another number of them, or one that is not positive.
@@ -183,12 +194,16 @@ def _numeric(model: mujoco.MjModel, path: Path, name: str, planned: list[int]) -
         return None
     begin, size = model.numeric_adr[numeric], model.numeric_size[numeric]
     values = model.numeric_data[begin : begin + size].astype(np.float32)
-    if size not in (model.njnt, len(planned)) or not ((values > 0) & np.isfinite(values)).all():
+    order = next((some for some in listed if len(some) == size), None)
+    if order is None or not ((values > 0) & np.isfinite(values)).all():
+        counts = " or ".join(str(n) for n in sorted({len(some) for some in listed} - {0})[::-1])
         raise InputError(
-            f"{name} in {str(path)!r} is {values.tolist()}; "
-            f"it needs {model.njnt} positive numbers, one a joint"
+            f"{name} in {str(path)!r} is {values.tolist()}; it needs {counts} positive numbers, "
+            "one for each joint or for each that is planned for"
         )
-    return values[planned] if size == model.njnt else values
+    if not {*planned} <= {*order}:
+        return None
+    return values[[order.index(j) for j in planned]]
 
 
 def _by_name(

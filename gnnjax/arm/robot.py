@@ -26,7 +26,7 @@ from gnnjax.arm.choice import ArmChoice
 from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
 from gnnjax.arm.covers import cover_file, cover_parts, pairs_of_rows
 from gnnjax.arm.joints import joint_name
-from gnnjax.arm.load import Load
+from gnnjax.arm.load import Load, held_names, names_with
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
 from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
@@ -91,10 +91,14 @@ class Robot:
     @property
     def plain_name(self) -> str:
         """How it is called in files that do not tell joints and contacts that were chosen."""
-        name = self.path.stem
-        for load in self.loads:
-            name = load.name_of(name)
-        return name
+        return names_with(self.path.stem, self.loads)[-1]
+
+    @functools.cached_property
+    def held_bodies(self) -> tuple[int, ...]:
+        """Indices of the bodies that are what it holds, in the order of `attach`."""
+        bare = self.path.stem if self.choice is None else self.choice.name_of(self.path.stem)
+        names = [body.name for body in self.bodies]
+        return tuple(names.index(name) for name in held_names(bare, self.loads))
 
     @property
     def num_dof(self) -> int:

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import rests
 from gnnjax.collision.checker import make_checker
 from gnnjax.kept import keep
 from gnnjax.scene.mujoco_world import build_world, place_boxes
@@ -133,6 +134,8 @@ def mujoco_checks(robot: Robot, max_boxes: int) -> Callable:
 
         def is_valid(q: np.ndarray) -> bool:
             if not ((q >= lower) & (q <= upper)).all():
+                return False
+            if robot.rest_limit is not None and not rests(robot, q[None])[0]:
                 return False
             data.qpos[:] = q
             # Positions are all that contacts need: no full forward pass.

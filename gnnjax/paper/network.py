@@ -102,7 +102,10 @@ class GuidanceNetwork(nnx.Module):
         self.validity_head = validity_head
         self.workspace_points = workspace_points
         if workspace_points and not (validity_head and geometric_features):
-            raise ValueError("workspace_points need validity_head and geometric_features")
+            raise InputError(
+                f"workspace_points is {workspace_points} and needs validity_head and "
+                "geometric_features; give 0 to go without"
+            )
         if unknown := sorted(set(without) - set(get_args(Part))):
             raise InputError(f"no parts {unknown} to do without; there are {list(get_args(Part))}")
         self.without = tuple(part for part in get_args(Part) if part in without)
@@ -193,7 +196,10 @@ class GuidanceNetwork(nnx.Module):
             point_distances: from `guide/view.py`; needed if the network has `workspace_points`.
         """
         if self.workspace_points and point_distances is None:
-            raise ValueError("the network reads distances of the arm; give point_distances")
+            raise InputError(
+                f"the network reads distances of {self.workspace_points} points of the arm; give "
+                "point_distances"
+            )
         max_edges = max_edges or roadmap.neighbors.size
         data = self.node_data(roadmap)
         graph: Graph = graphs_tuple(roadmap, max_edges)

@@ -44,8 +44,9 @@ def _limits(robot: Robot, tool: str, goal: PoseGoal, found: Solutions) -> str:
         if not low < value < high
     ]
     there = " and ".join(stops) or "no joint at a limit"
-    turns = AXES[3:]
-    if not set(turns) <= set(goal.free):
+    places, turns = AXES[:3], AXES[3:]
+    # Of a pose that is a turn alone, nothing would be left.
+    if not set(places) <= set(goal.free) and not set(turns) <= set(goal.free):
         free = [*goal.free, *(axis for axis in turns if axis not in goal.free)]
         alone = inverse_kinematics(robot, goal._replace(free=free), near=found.q[0])
         there += f"; if it may turn freely, it comes to {1e3 * alone.position_error[0]:.1f} mm"

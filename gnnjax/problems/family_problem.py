@@ -17,7 +17,6 @@ from gnnjax.errors import InputError
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.structures import FamilyScene, Region
-from gnnjax.scene.allowed import held_bodies
 from gnnjax.scene.cloud import cloud_of
 from gnnjax.scene.scene import Scene, rotation_matrices
 
@@ -109,7 +108,7 @@ def held_upright(robot: Robot, q: Float[Array, "*batch D"]) -> Float[Array, "*ba
     Raises:
         InputError: it holds nothing.
     """
-    held = held_bodies(robot)
+    held = robot.held_bodies
     if not held:
         raise InputError(
             f"{robot.name} holds nothing to be upright; robot.attach(...), or --attach"
@@ -147,7 +146,7 @@ def arm_reach(robot: Robot) -> Reach:
 
 def _tip(robot: Robot) -> tuple[int, np.ndarray]:
     """The body that has the tip, and where this is in its frame `[3]`, m."""
-    if held := held_bodies(robot):
+    if held := robot.held_bodies:
         return held[-1], robot.geom_centers[robot.geom_bodies == held[-1]].mean(axis=0)
     last = int(robot.geom_bodies.max())
     end, points = robot.bodies[last], []

@@ -184,7 +184,8 @@ def _read(
         constraints = fields_of(message.get(name), known, f"{name} of {called}")
         if any(value for key, value in constraints.items() if key != "name"):
             raise InputError(
-                f"{called} has {name}, which no planner here heeds; remove them to plan without"
+                f"{called} has {name}; path constraints are not supported; remove them to plan "
+                "without"
             )
     found = read_planning_scene(scene_path)
     state = state_of(message.get("start_state"), {"": IDENTITY}, called)

@@ -1,4 +1,4 @@
-"""Contacts that are meant: bodies of an arm that may touch obstacles, a gripper its handle, say.
+"""Allowed contacts: bodies of an arm that may touch obstacles, a gripper its handle, say.
 
 They are left out of every test, however deep the overlap, and out of clearances; whoever cannot do
 that refuses the scene. They are of one arm, and no other takes them.
@@ -61,24 +61,14 @@ def _body(robot: Robot, name: str) -> int:
     known = [body.name for body in robot.bodies]
     if name in known and name:
         return known.index(name)
-    held = held_bodies(robot)
-    if name == _HELD and len(held) == 1:
-        return held[0]
+    if name == _HELD and len(robot.held_bodies) == 1:
+        return robot.held_bodies[0]
     raise InputError(f"no body {name!r} in {robot.name} to touch an obstacle; there are {known}")
-
-
-def held_bodies(robot: Robot) -> list[int]:
-    """Indices of the bodies that the arm holds, in the order in which they were attached."""
-    names = {i: body.name for i, body in enumerate(robot.bodies)}
-    held = [i for i, name in names.items() if name.startswith(f"{_HELD}_")]
-    # The arm's own name has them in that order; its bodies are in that of the links that hold them.
-    return sorted(held, key=lambda i: robot.name.find(names[i].removeprefix(f"{_HELD}_")))
 
 
 def last_link(robot: Robot) -> int:
     """Index of the arm's last body, but for what it holds, which may hang on one before."""
-    held = held_bodies(robot)
-    return max(b for b in range(len(robot.bodies)) if b not in held)
+    return max({*range(len(robot.bodies))} - {*robot.held_bodies})
 
 
 def arm_key(robot: Robot) -> np.uint32:
@@ -87,7 +77,7 @@ def arm_key(robot: Robot) -> np.uint32:
 
 
 def check_allowed(robot: Robot, scene: Scene) -> None:
-    """Refuses a scene, or scenes, in which contacts are meant of another arm."""
+    """Refuses a scene, or scenes, whose allowed contacts are of another arm."""
     allowed = scene.allowed
     if allowed is None:
         return
@@ -97,23 +87,23 @@ def check_allowed(robot: Robot, scene: Scene) -> None:
 
 
 def check_arm(robot: Robot, arm: ArrayLike, fits: bool = True) -> None:
-    """Refuses contacts that are meant of an arm, or arms, with another `arm_key`, or that do not
-    fit otherwise."""
+    """Refuses allowed contacts of an arm, or arms, with another `arm_key`, or that do not fit
+    otherwise."""
     if not fits or (np.asarray(arm) != arm_key(robot)).any():
         raise InputError(
-            f"the contacts that are meant in the scene are not of {robot.name}; name them for that "
-            "arm with allow_contacts"
+            "the allowed contacts in this scene were declared for another arm, not "
+            f"{robot.name}; name them for that arm with allow_contacts"
         )
 
 
 def refuse_allowed(scene: Scene, who: str) -> None:
-    """Refuses a scene, or scenes, for what knows of no contacts that are meant.
+    """Refuses a scene, or scenes, for what knows of no allowed contacts.
 
     Raises:
         InputError: there are such contacts.
     """
     if scene.allowed is not None:
         raise InputError(
-            f"the scene has contacts that are meant, which {who} cannot leave out; take them out "
-            "of the scene: `allow` of its file, or scene._replace(allowed=None)"
+            f"the scene has allowed contacts, which {who} cannot leave out; take them out of the "
+            "scene: `allow` of its file, or scene._replace(allowed=None)"
         )

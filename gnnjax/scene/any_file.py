@@ -49,7 +49,7 @@ def read_scene(path: Path, robot: Robot) -> Scene:
     Args:
         path: of the file.
         robot: the arm, which is left out where a MuJoCo model holds it, and whose bodies lists of
-            contacts that are meant name.
+            allowed contacts name.
 
     Raises:
         InputError: another ending, or see `scene_from_json`, `scene_from_moveit`,

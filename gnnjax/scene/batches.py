@@ -37,14 +37,14 @@ def same_clouds(scenes: Sequence[Scene]) -> list[Scene]:
 
 
 def _same_allowed(scenes: Sequence[Scene]) -> list[Scene]:
-    """Single scenes; where contacts are meant in one, all say so, if need be of none."""
+    """Single scenes; where one has allowed contacts, all have, if need be none of them."""
     meant = [scene.allowed for scene in scenes if scene.allowed is not None]
     if not meant:
         return list(scenes)
     if len({int(x.arm) for x in meant}) > 1:
         raise InputError(
-            "the contacts that are meant in these scenes are of several arms; stack "
-            "scenes of one arm"
+            "the allowed contacts in these scenes were declared for several arms; stack scenes of "
+            "one arm"
         )
     none = meant[0]._replace(pairs=np.zeros_like(meant[0].pairs))
     return [x if x.allowed is not None else x._replace(allowed=none) for x in scenes]

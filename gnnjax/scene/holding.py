@@ -89,14 +89,14 @@ def _attached(robot: Robot, load: Load) -> Robot:
         for kind, position, quat, size in load.items
     ]
     holder = robot.mj_model.body(body).id
-    digest = load.digest(robot.name)
+    held_name = load.body_name(robot.name)
 
     spec = robot.mj_spec.copy()
-    names = add_body(spec, body, f"held_{digest}", items, mass)
+    names = add_body(spec, body, held_name, items, mass)
     with without_warnings():
         model = spec.compile()
     held = np.array([model.geom(name).id for name in names])
-    held_body = model.body(f"held_{digest}").id
+    held_body = model.body(held_name).id
     # Compiling keeps the order of what was there before.
     old = np.setdiff1d(np.arange(model.ngeom), held)[robot.part_geom_ids]
     geoms = np.concatenate([old, held])

@@ -26,7 +26,7 @@ _BLANK_SIZE = 0.1  # m; padding has a size, so that nothing divides by zero
 
 
 class Allowed(NamedTuple):
-    """Contacts that are meant; made by `allow_contacts`."""
+    """Allowed contacts; made by `allow_contacts`."""
 
     pairs: Bool[Array, "*batch M L"]  # true where body l of the arm may touch obstacle m
     arm: UInt32[Array, "*batch"]  # of which arm, see `arm_key`

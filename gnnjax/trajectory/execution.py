@@ -32,6 +32,7 @@ from gnnjax.trajectory.states import Setpoints
 from gnnjax.trajectory.steps import HOLD, at_steps
 from gnnjax.trajectory.trajectory import Trajectory
 
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _AT_REST = 0.02  # rad or m, and rad/s or m/s, of each joint
 _SIDE_BY_SIDE = 32  # motions whose arrays are in memory at a time
 _PIECE = 20  # steps of a motion that are certified as one line, with slack
@@ -82,7 +83,7 @@ def execute_trajectory(
 
     Args:
         robot: the arm, as the controller knows it; what it holds is in its model, with its mass.
-        scene: one scene, in which no contacts are meant.
+        scene: one scene, without allowed contacts.
         trajectory: of `time_path`; or states of a motion, between which it is interpolated.
         controller: "computed_torque", or "position" (servos), see `gnnjax.trajectory.control`.
         torque: limits of motors, N m or N, one for all joints or one each; the model's by default.
@@ -187,8 +188,8 @@ def _judged(
     error = np.abs(q - wanted.positions)
     tip = np.linalg.norm(_tips(robot, q) - _tips(robot, wanted.positions), axis=1)
     touching = np.flatnonzero(run.depths[:steps] > 0)
-    goal = error[-1]
-    settled = bool(not run.diverged and max(goal.max(), np.abs(velocity[-1]).max()) <= _AT_REST)
+    goal, speed = error[-1], np.abs(velocity[-1])
+    settled = bool(not run.diverged and max(goal.max(), speed.max()) <= _AT_REST)
     touched = _pair(robot, scene, model, q[touching[0]]) if len(touching) else ()
     depth = float(run.depths.max())
     joint = int(error[-1].argmax())
@@ -199,11 +200,17 @@ def _judged(
         reason = f"{touched[0]} touches {touched[1]} after {when}"
     elif run.diverged:
         reason = (
-            f"joint {robot.joint_names[joint]} was {error[-1, joint]:.3g} from where it should be "
-            f"after {steps * DT:.3f} s"
+            f"joint {robot.joint_names[joint]} was {error[-1, joint]:.3g} {_unit(robot, joint)} "
+            f"from where it should be after {steps * DT:.3f} s"
         )
     elif not settled:
-        reason = f"the arm does not rest at the goal: a joint is {goal.max():.3g} away from it"
+        joint = int(np.maximum(goal, speed).argmax())
+        unit = _unit(robot, joint)
+        reason = (
+            f"the arm does not rest at the goal: at the end joint {robot.joint_names[joint]} is "
+            f"{goal[joint]:.3g} {unit} away from it and moves at {speed[joint]:.3g} {unit}/s "
+            f"({_AT_REST:g} allowed)"
+        )
     return Execution(
         success=not reason,
         reason=reason,
@@ -221,6 +228,10 @@ def _judged(
         settled=settled,
         trace=Trace(wanted.times, q, velocity, torques, wanted, limit),
     )
+
+
+def _unit(robot: Robot, joint: int) -> str:
+    return "rad" if robot.mj_model.jnt_type[joint] == _HINGE else "m"
 
 
 def _tips(robot: Robot, q: np.ndarray) -> np.ndarray:

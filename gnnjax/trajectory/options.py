@@ -22,20 +22,23 @@ class MotionOptions:
     """How fast a motion may be, and how it goes around corners."""
 
     velocity: _Given = None
-    """Of the motion: limits, one for all joints or one each, rad/s (or m/s); the model's by
+    """Velocity limits of the motion, rad/s (m/s): one for all joints, or one each; the model's by
     default."""
     acceleration: _Given = None
-    """Of the motion: limits likewise, rad/s^2 (or m/s^2)."""
+    """Acceleration limits of the motion, rad/s^2 (m/s^2): one for all joints, or one each; the
+    model's by default."""
     torque: _Given = None
-    """Of the motion: limits likewise, N m (or N); none where the model has none either."""
+    """Torque limits of the motion, N m (N): one for all joints, or one each; the model's by
+    default, which may have none."""
     jerk: _Given = None
-    """Of the motion: limits likewise, rad/s^3 (or m/s^3); none by default."""
+    """Jerk limits of the motion, rad/s^3 (m/s^3): one for all joints, or one each; none by
+    default."""
     blend: float = 1.0
-    """Of the motion: how much of an edge a rounded corner takes at most, rad (or m); 0: it stops at
-    corners."""
+    """Most of an edge that a rounded corner of the motion takes, rad (m); with 0 the motion stops
+    at corners."""
     clearance: bool = False
-    """Of the motion: find out how far path and curve stay from all obstacles, which takes longer
-    than the motion."""
+    """Also find out how far path and motion stay from all obstacles, which takes longer than timing
+    the motion."""
 
 
 def make_motion_options(**options: Any) -> MotionOptions:

@@ -41,10 +41,11 @@ def make_pricer(planner: Planner, frames: Frames, seed: int) -> Callable[[Query]
     """
     strategy = planner.strategy
     if not isinstance(strategy, Guided) or planner.options.sampled:
-        drawn = "sampled" if isinstance(strategy, Guided) else repr(planner.options.planner)
+        guided = isinstance(strategy, Guided)
+        by = "sampled=True" if guided else f"planner {planner.options.planner!r}"
+        remedy = "leave it out" if guided else "use 'guided'"
         raise InputError(
-            f"prices of a roadmap with planner {drawn}, which draws one for each query; plan with "
-            "'guided'"
+            f"the roadmap is drawn anew for each query with {by}; {remedy} to see its prices"
         )
     guide = strategy.guide
 
