@@ -1,14 +1,10 @@
 """Searches: the jitted loop against the plain one, laws, and corners."""
 
-import itertools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from gnnjax.collision.edges import EdgeChecks
 from gnnjax.paper.network import GuidanceNetwork
@@ -24,7 +20,6 @@ from gnnjax.search.greedy import (
     oracle_scorer,
     static_scorer,
 )
-from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID
 from gnnjax.search.lazy import lazy_search
 
 
@@ -193,157 +188,3 @@ def test_a_walk_without_neighbors_fails_without_checks(apart):
         assert not found.success
         assert int(found.edge_checks) == 0
         assert GOAL not in np.asarray(found.path)
-
-
-def check_nodes(q):
-    """Nodes near the centre of the cube are blocked."""
-    return jnp.linalg.norm(q - 0.5, axis=-1) > 0.3
-
-
-def check_edge_for_free(start, end):
-    return EdgeChecks(check_edges(start, end).valid, jnp.int32(0))
-
-
-def look(starts, ends):
-    """A made-up price of an edge, the same both ways."""
-    return jnp.square(jnp.sin(40 * (starts + ends).sum(axis=-1)))
-
-
-@jax.jit
-def search_as_known(roadmap, price, scale, longest_checked, max_price, status, node_status):
-    return lazy_search(
-        roadmap,
-        check_edge_for_free,
-        status,
-        price,
-        judge=lambda starts, ends: scale * look(starts, ends),
-        check_nodes=check_nodes,
-        node_status=node_status,
-        longest_checked=longest_checked,
-        max_price=max_price,
-    )
-
-
-def search_unchecked(roadmap, price, scale, longest_checked=50, max_price=np.inf, known=None):
-    nothing = np.zeros(roadmap.neighbors.shape, np.int8), np.zeros(50, np.int8)
-    limits = np.float32(scale), np.int32(longest_checked), np.float32(max_price)
-    return search_as_known(roadmap, price, *limits, *(known or nothing))  # compiled once
-
-
-def no_price(roadmap):
-    return jnp.zeros(roadmap.lengths.shape)
-
-
-def shortest(roadmap, keep, extra=0.0):
-    """SciPy's cheapest cost from the start to the goal over the slots in `keep`."""
-    senders, slots = np.nonzero(np.asarray(roadmap.neighbor_mask) & np.asarray(keep))
-    receivers = np.asarray(roadmap.neighbors)[senders, slots]
-    cost = np.asarray(roadmap.lengths + extra, float)[senders, slots]
-    num = len(roadmap.nodes)
-    return dijkstra(csr_matrix((cost, (senders, receivers)), shape=(num, num)), indices=1)[0]
-
-
-def valid_slots(roadmap):
-    """Slots whose edge and both of whose nodes are valid; start and goal are."""
-    node = np.array(check_nodes(roadmap.nodes))
-    node[:2] = True
-    far = np.asarray(roadmap.nodes)[np.asarray(roadmap.neighbors)]
-    edge = np.asarray(check_edges(np.asarray(roadmap.nodes)[:, None], far).valid)
-    return edge & node[:, None] & node[np.asarray(roadmap.neighbors)]
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_nodes_that_nobody_checked_are_found_out_on_the_way(seed):
-    roadmap = make_roadmap(jax.random.key(seed))
-    found = search_unchecked(roadmap, no_price(roadmap), 0.0)
-    expected = shortest(roadmap, valid_slots(roadmap))
-    assert bool(found.success) == bool(np.isfinite(expected))
-    if found.success:
-        np.testing.assert_allclose(path_cost(roadmap, found.path), expected, rtol=1e-5)
-        assert found.path_price == 0.0
-    node, truth = np.array(found.node_status), np.array(check_nodes(roadmap.nodes))
-    assert (node[:2] == VALID).all()
-    known = np.flatnonzero(node[2:] != UNKNOWN) + 2
-    np.testing.assert_array_equal(node[known] == VALID, truth[known])
-    # Each node is tested at most once; edges cost nothing here.
-    assert int(found.configuration_checks) == len(known)
-    assert len(known) < 48
-    # A blocked node takes its edges with it, seen from either end.
-    blocked = node == INVALID
-    at_blocked = blocked[:, None] | blocked[np.asarray(roadmap.neighbors)]
-    at_blocked &= np.asarray(roadmap.neighbor_mask)
-    assert (np.asarray(found.edge_status)[at_blocked] == INVALID).all()
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_whatever_prices_say_a_path_is_found_where_there_is_one(seed):
-    roadmap = make_roadmap(jax.random.key(100 + seed))
-    rng = np.random.default_rng(seed)
-    guess = jnp.asarray(rng.exponential(size=roadmap.lengths.shape).astype(np.float32))
-    found = search_unchecked(roadmap, guess, rng.choice([0.1, 1.0, 100.0]))
-    keep = valid_slots(roadmap)
-    assert bool(found.success) == bool(np.isfinite(shortest(roadmap, keep)))
-    walked = np.asarray(found.path)[np.asarray(found.path) >= 0]
-    for near, far in itertools.pairwise(walked):
-        assert keep[near, np.asarray(roadmap.neighbors)[near] == far].all()
-
-
-def test_a_path_too_long_to_be_checked_is_the_cheapest_after_a_closer_look():
-    looked = 0
-    for seed in range(8):
-        roadmap = make_roadmap(jax.random.key(seed))
-        found = search_unchecked(roadmap, no_price(roadmap), 1.0, longest_checked=1)
-        nodes, status = np.asarray(roadmap.nodes), np.asarray(found.edge_status)
-        price = look(nodes[:, None], nodes[np.asarray(roadmap.neighbors)])
-        # An edge that was checked costs its length alone.
-        price = np.where(status == VALID, 0.0, price)
-        expected = shortest(roadmap, status != INVALID, price)
-        cost = path_cost(roadmap, found.path) + float(found.path_price)
-        np.testing.assert_allclose(cost, expected, rtol=1e-5)
-        steps = int((np.asarray(found.path) >= 0).sum()) - 1
-        if steps > 1:  # the direct edge is all that can have been checked
-            looked += 1
-            assert int(found.edge_checks) <= 1
-            assert int(found.configuration_checks) == 0
-            assert (np.asarray(found.node_status)[2:] == UNKNOWN).all()
-    assert looked >= 5
-
-
-def test_a_search_gives_up_where_the_cheapest_path_is_too_dear():
-    for seed in range(4):
-        roadmap = make_roadmap(jax.random.key(seed))
-        found = search_unchecked(roadmap, no_price(roadmap), 50.0, max_price=1e-3)
-        assert not found.success
-        assert (np.asarray(found.path) == -1).all()
-        assert int(found.edge_checks) == int(found.configuration_checks) == 0
-        assert 1e-3 < float(found.path_price) < np.inf
-
-
-def test_a_search_without_any_path_has_an_infinite_price(apart):
-    found = search_unchecked(apart, no_price(apart), 1.0)
-    assert not found.success
-    assert found.path_price == np.inf
-
-
-def test_a_search_gives_up_after_so_many_edge_checks():
-    limited = jax.jit(lambda roadmap: lazy_search(roadmap, check_edge, max_edge_checks=2))
-    gave_up = 0
-    for seed in range(8):
-        roadmap = make_roadmap(jax.random.key(seed))
-        all_, few = lazily(roadmap), limited(roadmap)
-        assert int(few.edge_checks) == min(2, int(all_.edge_checks))
-        if not few.success:
-            gave_up += 1
-            assert GOAL not in np.asarray(few.path)
-        else:
-            np.testing.assert_array_equal(few.path, all_.path)
-    assert gave_up >= 3
-
-
-def test_known_nodes_cost_nothing_and_the_search_goes_on_where_it_was():
-    roadmap = make_roadmap(jax.random.key(1))
-    first = search_unchecked(roadmap, no_price(roadmap), 0.0)
-    known = first.edge_status, first.node_status
-    again = search_unchecked(roadmap, no_price(roadmap), 0.0, known=known)
-    assert int(again.edge_checks) == int(again.configuration_checks) == 0
-    np.testing.assert_array_equal(again.path, first.path)

@@ -1,4 +1,4 @@
-"""Shortening in the network's eyes, with prices that are made up."""
+"""Shortening in the guide's eyes, with prices that are made up."""
 
 import jax
 import jax.numpy as jnp
@@ -8,8 +8,8 @@ from scipy.spatial.distance import cdist
 
 from gnnjax.collision.edges import EdgeChecks
 from gnnjax.roadmap.graph import GOAL
-from gnnjax.search.knowledge import INVALID
-from gnnjax.search.shorten import path_roadmap, search_shortened, shortened, spread_evenly
+from gnnjax.search.lazy import lazy_search
+from gnnjax.search.shorten import path_roadmap, shortened, spread_evenly
 
 NUM = 12
 
@@ -35,8 +35,8 @@ def shorten(points, scale):
 
 
 @jax.jit
-def search(roadmap, prices, status):
-    return search_shortened(roadmap, prices, check_edge, free, status)
+def search(roadmap, prices):
+    return lazy_search(roadmap, check_edge, None, prices)
 
 
 spread = jax.jit(spread_evenly, static_argnums=2)
@@ -95,7 +95,7 @@ def test_a_shortened_path_is_shorter_and_free(seed):
     roadmap, prices = shorten(points, 10.0)
     np.testing.assert_array_equal(prices, np.asarray(prices).T)
     np.testing.assert_array_equal(np.asarray(roadmap.nodes)[:2], nodes[:2])
-    found = search(roadmap, prices, jnp.zeros((NUM, NUM), jnp.int8))
+    found = search(roadmap, prices)
     assert found.success
     walked = np.asarray(found.path)[np.asarray(found.path) >= 0]
     assert walked[0] == 0
@@ -114,31 +114,5 @@ def test_where_nothing_costs_anything_a_path_becomes_straight():
     line = in_order(roadmap.nodes)
     np.testing.assert_allclose(line, np.linspace(nodes[0], nodes[1], NUM), atol=1e-5)
     # That is blocked, and so is what lies beside it.
-    found = search(roadmap, prices, jnp.zeros((NUM, NUM), jnp.int8))
+    found = search(roadmap, prices)
     assert not found.success
-
-
-def test_a_refuted_motion_is_searched_around():
-    nodes, path = zigzag(1)
-    roadmap, prices = shorten(spread(path, nodes, NUM), 10.0)
-    first = search(roadmap, prices, jnp.zeros((NUM, NUM), jnp.int8))
-    walked = np.asarray(first.path)[:2]
-    status = np.array(first.edge_status)
-    status[walked, walked[::-1]] = INVALID
-    again = search(roadmap, prices, status)
-    other = np.asarray(again.path)[:2]
-    assert again.success
-    assert set(other) != set(walked)
-
-
-def test_shortening_gives_up_after_a_few_checks():
-    nodes, path = zigzag(2)
-    roadmap, prices = shorten(spread(path, nodes, NUM), 10.0)
-    nothing_free = jax.jit(
-        lambda roadmap, prices, status: search_shortened(
-            roadmap, prices, lambda a, b: EdgeChecks(jnp.bool_(False), jnp.int32(1)), free, status
-        )
-    )
-    found = nothing_free(roadmap, prices, jnp.zeros((NUM, NUM), jnp.int8))
-    assert not found.success
-    assert int(found.edge_checks) <= 8

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Int8
+from jaxtyping import Array, Bool, Int, Int8
 
 from gnnjax.roadmap.graph import GOAL, START, Roadmap
 
@@ -19,10 +19,6 @@ class SearchResult(NamedTuple):
     edge_checks: Int[Array, "*batch"]  # edges tested
     configuration_checks: Int[Array, "*batch"]  # configurations tested for them
     edge_status: Int8[Array, "*batch N K"]  # what is now known of every slot's edge
-    # Of a lazy search alone: what is known of the nodes, and the price of the path at its end, or
-    # of the one it gave up at; inf where there is no path.
-    node_status: Int8[Array, "*batch N"] | None = None
-    path_price: Float[Array, "*batch"] | None = None
 
 
 def unknown_edges(roadmap: Roadmap) -> Int8[Array, "N K"]:

@@ -1,26 +1,21 @@
 """Shortens paths before they are checked.
 
-What the network says of a motion costs no check. So a path is first shortened in the network's
-eyes: points along it make a small roadmap in which all are joined to all, and the cheapest way
-through that is a shorter path. Only then is it checked, lazily, and where a motion turns out to be
-blocked, the next cheapest way through the same points is tried.
+What a guide says of a motion costs no check. So a path is first shortened in the guide's eyes:
+points along it make a small roadmap in which all are joined to all, and the cheapest way through
+that is a shorter path. Only then is it checked (`planning/shortening.py`).
 """
 
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Int8
+from jaxtyping import Array, Float, Int
 
-from gnnjax.collision.edges import EdgeChecks
 from gnnjax.roadmap.graph import GOAL, Roadmap
 from gnnjax.roadmap.paths import cost_to_go, follow, next_slots
-from gnnjax.search.knowledge import SearchResult
-from gnnjax.search.lazy import lazy_search
 
 PATH_POINTS = 20  # along a path
 _ROUNDS = 2  # of shortening; the third gains nothing (docs/experiments.md)
-_MOST_CHECKS = 8  # edges; what needs more is hardly ever free
 
 
 def path_roadmap(points: Float[Array, "V D"]) -> Roadmap:
@@ -66,7 +61,7 @@ def shortened(
     points: Float[Array, "V D"],
     price: Callable[[jax.Array, jax.Array], jax.Array],
 ) -> tuple[Roadmap, Float[Array, "V V"]]:
-    """The path roadmap of a path that is shortened in the network's eyes, and its prices.
+    """The path roadmap of a path that is shortened in the guide's eyes, and its prices.
 
     Args:
         points: from `spread_evenly`.
@@ -88,24 +83,3 @@ def shortened(
 
     points, prices = jax.lax.fori_loop(0, _ROUNDS, again, (points, jnp.zeros((num, num))))
     return path_roadmap(points), prices
-
-
-def search_shortened(
-    roadmap: Roadmap,
-    prices: Float[Array, "V V"],
-    check_edge: Callable[[jax.Array, jax.Array], EdgeChecks],
-    check_nodes: Callable[[jax.Array], Bool[Array, " B"]],
-    status: Int8[Array, "V V"],
-) -> SearchResult:
-    """Checks the cheapest way through a path roadmap, or the next where it is blocked.
-
-    Args:
-        roadmap: from `shortened`.
-        prices: its prices.
-        check_edge: `(q_from [D], q_to [D]) -> EdgeChecks` of scalars, ends apart.
-        check_nodes: `[B D] -> [B]`, true where valid.
-        status: what is known of its edges.
-    """
-    return lazy_search(
-        roadmap, check_edge, status, prices, check_nodes=check_nodes, max_edge_checks=_MOST_CHECKS
-    )
