@@ -60,8 +60,9 @@ problems.moveit
 trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajectory.smooth
 trajectory.clearance trajectory.timing trajectory.batches trajectory.needs trajectory.jerk
 trajectory.moves trajectory.trajectory trajectory.states trajectory.files
-planning.options planning.query planning.goals planning.motions planning.progress
-planning.strategy planning.walks planning.looks planning.guided planning.pool planning.shortening
+planning.options planning.query planning.progress planning.goals planning.motions
+planning.strategy planning.walks planning.looks planning.guided planning.pool
+planning.batch planning.steps planning.shortening
 planning.shortcuts planning.tree planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.steps trajectory.execution

@@ -5,15 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gnnjax.arm.robot import load_robot
-from gnnjax.clock import Clock
-from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
-from gnnjax.collision.sequences import SequenceTester
 from gnnjax.devices import map_first
-from gnnjax.planning.pool import Pool
-from gnnjax.planning.shortening import PathPool
+from gnnjax.planning.shortening import PathRoadmaps
 from gnnjax.roadmap.graph import GOAL, START
-from gnnjax.scene.scene import make_scene
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
 from gnnjax.search.rounds import Priced, cheapest_route
 from gnnjax.search.shorten import path_roadmap
@@ -29,22 +23,13 @@ def compiled_routes(points, price, status, node_status):
     return map_first(cheapest_route, jnp.int32(NUM), priced)
 
 
-@pytest.fixture(scope="module")
-def outer(tiny_path):
-    robot = load_robot(tiny_path)
-    tester = SequenceTester(robot, make_checker(robot), EDGE_RESOLUTION)
-    return Pool(
-        1, Clock(), tester, tester.place(jax.tree.map(lambda x: x[None], make_scene([], [])))
-    )
-
-
 @pytest.fixture
-def pool(outer):
+def pool():
     """Twelve path roadmaps; every other edge and node is known, and slot 5 is free."""
     rng = np.random.default_rng(0)
     points = rng.random((NUM, POINTS, 3), np.float32)
     price = rng.exponential(0.3, (NUM, POINTS, POINTS)).astype(np.float32)
-    made = PathPool(outer, np.arange(NUM), points, price + price.swapaxes(1, 2))
+    made = PathRoadmaps(np.arange(NUM), points, price + price.swapaxes(1, 2))
     status = rng.choice(3, p=[0.4, 0.1, 0.5], size=price.shape).astype(np.int8)
     status = np.triu(status, 1)
     made._known.status[:] = status + status.swapaxes(1, 2)
@@ -55,7 +40,7 @@ def pool(outer):
 
 
 def test_routes_are_those_of_the_compiled_search(pool):
-    route = pool.route()[1]
+    route = pool.route()
     known = pool._known
     expected = compiled_routes(pool._points, pool._price, *known)
     expected = jax.tree.map(np.asarray, expected)
@@ -72,7 +57,7 @@ def test_routes_are_those_of_the_compiled_search(pool):
 
 
 def test_what_is_learned_of_an_edge_is_learned_both_ways(pool):
-    route = pool.route()[1]
+    route = pool.route()
     before = [x.copy() for x in pool._known]
     nodes, edges = np.zeros((2, *route.path.shape), np.int8)
     for row in np.flatnonzero(route.num):
@@ -89,7 +74,7 @@ def test_what_is_learned_of_an_edge_is_learned_both_ways(pool):
     np.testing.assert_array_equal(pool._known.status, status)
     np.testing.assert_array_equal(pool._known.node_status, node_status)
     # What is blocked is not on the next path.
-    again = pool.route()[1]
+    again = pool.route()
     for row in np.flatnonzero(again.num):
         path = again.path[row, : again.num[row]]
         assert (node_status[row, path] != INVALID).all()
@@ -97,11 +82,10 @@ def test_what_is_learned_of_an_edge_is_learned_both_ways(pool):
         assert (path[0], path[-1]) == (START, GOAL)
 
 
-def test_a_pool_of_paths_is_never_too_wide_and_knows_nothing_at_first(outer):
+def test_nothing_is_known_of_paths_at_first():
     points = np.zeros((2, 4, 3), np.float32)
-    made = PathPool(outer, np.array([7, 8]), points, np.zeros((2, 4, 4), np.float32))
-    assert not made.is_wide()
+    made = PathRoadmaps(np.array([7, 8]), points, np.zeros((2, 4, 4), np.float32))
     assert (made._known.status == UNKNOWN).all()
     np.testing.assert_array_equal(made._known.node_status, [[VALID, VALID, 0, 0]] * 2)
     # Points that are one and the same: straight to the goal.
-    assert made.route()[1].num.tolist() == [2, 2]
+    assert made.route().num.tolist() == [2, 2]

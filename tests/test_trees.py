@@ -10,6 +10,7 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import clearances
 from gnnjax.collision.sequences import Items, Outcome, SequenceTester
 from gnnjax.planning import trees
+from gnnjax.planning.batch import Batch
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Limits, Progress
@@ -50,12 +51,11 @@ def strategy(robot):
 
 
 def grown(robot, strategy, tester, problems, time_limit=np.inf, defers=False):
-    progress = Progress(robot, problems, Limits(time_limit))
-    progress.defers = defers
-    placed, ids = tester.place(progress.problems.scene), np.arange(len(problems.start))
-    outlook = Outlook(progress, strategy, ids, 2)
-    grow(robot, progress, tester, placed, ids, outlook, 0, CHEAPLY, CHEAPLY.rounds)
-    return progress, placed
+    batch = Batch(robot, problems, Limits(time_limit), tester)
+    batch.defers = defers
+    ids = np.arange(len(problems.start))
+    grow(batch, ids, Outlook(batch, strategy, ids, 2), 0, CHEAPLY, CHEAPLY.rounds)
+    return batch
 
 
 def branch(tree, parent, nodes):
@@ -64,12 +64,12 @@ def branch(tree, parent, nodes):
 
 
 def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, strategy, tester, problems):
-    progress, placed = grown(robot, strategy, tester, problems)
+    progress = grown(robot, strategy, tester, problems)
     solved = np.flatnonzero([path is not None for path in progress.paths])
     assert len(solved) >= 10
     before = [path_length(progress.paths[i]) for i in solved]
     checks = progress.search_checks.copy()
-    cut_short(progress, tester, placed, solved)
+    cut_short(progress, solved)
     after = [path_length(progress.paths[i]) for i in solved]
     assert (np.array(after) <= np.array(before) + 1e-5).all()
     assert sum(after) < 0.98 * sum(before)
@@ -83,10 +83,10 @@ def test_trees_find_certified_paths_which_shortcuts_make_shorter(robot, strategy
 def test_paths_whose_certificate_is_to_wait_get_it_later(
     robot, strategy, tester, problems, monkeypatch
 ):
-    at_once, _ = grown(robot, strategy, tester, problems)
+    at_once = grown(robot, strategy, tester, problems)
     with monkeypatch.context() as patch:
         patch.setattr(Progress, "certify", None)  # nobody asks for one meanwhile
-        later, _ = grown(robot, strategy, tester, problems, defers=True)
+        later = grown(robot, strategy, tester, problems, defers=True)
     assert all(path is None for path in later.paths)
     np.testing.assert_array_equal(later.search_checks, at_once.search_checks)
     later.prove()
@@ -95,25 +95,23 @@ def test_paths_whose_certificate_is_to_wait_get_it_later(
 
 
 def test_branches_may_be_tested_in_parts(robot, strategy, tester, problems, monkeypatch):
-    at_once, _ = grown(robot, strategy, tester, problems)
+    at_once = grown(robot, strategy, tester, problems)
     monkeypatch.setattr(trees, "_BRANCHES_AT_ONCE", 7)
-    in_parts, _ = grown(robot, strategy, tester, problems)
+    in_parts = grown(robot, strategy, tester, problems)
     for path, other in zip(in_parts.paths, at_once.paths, strict=True):
         np.testing.assert_array_equal(path, other)
     np.testing.assert_array_equal(in_parts.search_checks, at_once.search_checks)
 
 
 def test_a_problem_has_the_same_path_alone(robot, strategy, tester, problems):
-    together, placed = grown(robot, strategy, tester, problems)
-    cut_short(together, tester, placed, np.flatnonzero([p is not None for p in together.paths]))
+    together = grown(robot, strategy, tester, problems)
+    cut_short(together, np.flatnonzero([p is not None for p in together.paths]))
     for i in (0, 3, 7):
-        alone, scene = grown(
-            robot, strategy, tester, jax.tree.map(lambda x, i=i: x[i : i + 1], problems)
-        )
+        alone = grown(robot, strategy, tester, jax.tree.map(lambda x, i=i: x[i : i + 1], problems))
         if alone.paths[0] is None:
             assert together.paths[i] is None
             continue
-        cut_short(alone, tester, scene, np.zeros(1, int))
+        cut_short(alone, np.zeros(1, int))
         np.testing.assert_array_equal(alone.paths[0], together.paths[i])
         assert alone.search_checks[0] == together.search_checks[i]
         assert alone.rounds[0] == together.rounds[i]
@@ -172,7 +170,7 @@ def test_branches_on_short_ways_are_picked_and_later_others_too(monkeypatch):
 def test_what_is_not_certified_is_cut_off_and_gone_around(
     robot, strategy, tester, problems, monkeypatch
 ):
-    before, _ = grown(robot, strategy, tester, problems)
+    before = grown(robot, strategy, tester, problems)
     i = int(np.argmax([0 if path is None else len(path) for path in before.paths]))
     barred = before.paths[i][1]
 
@@ -186,7 +184,7 @@ def test_what_is_not_certified_is_cut_off_and_gone_around(
     monkeypatch.setattr(Progress, "certify", refusing)
     cut, gone = Tree.cut, []
     monkeypatch.setattr(Tree, "cut", lambda self, node: (gone.append(node), cut(self, node)))
-    after, _ = grown(robot, strategy, tester, jax.tree.map(lambda x: x[i : i + 1], problems))
+    after = grown(robot, strategy, tester, jax.tree.map(lambda x: x[i : i + 1], problems))
     assert gone
     assert after.paths[0] is not None
     assert not (after.paths[0] == barred).all(axis=1).any()
@@ -203,7 +201,7 @@ def test_a_node_that_is_cut_off_takes_with_it_what_hangs_on_it():
 
 
 def test_no_time_grows_nothing(robot, strategy, tester, problems):
-    progress, _ = grown(robot, strategy, tester, problems, time_limit=-1.0)
+    progress = grown(robot, strategy, tester, problems, time_limit=-1.0)
     assert all(path is None for path in progress.paths)
     assert not progress.rounds.any()
 
@@ -256,8 +254,7 @@ def test_of_shortcuts_few_are_tested_and_the_shortest_way_is_that_along_all_that
         return Outcome(free.astype(int), ~free, np.ones(num, int), np.ones(num, int))
 
     monkeypatch.setattr(SequenceTester, "__call__", test)
-    placed = tester.place(problems.scene)
-    found = _cut(Progress(robot, problems, Limits()), tester, placed, np.arange(3), pieces)
+    found = _cut(Batch(robot, problems, Limits(), tester), np.arange(3), pieces)
     first, second = np.triu_indices(_POINTS, 1)
     assert 3 < asked < 0.8 * 3 * len(first)
     for piece, way in zip(pieces, found, strict=True):

@@ -15,11 +15,13 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.sequences import SequenceTester
 from gnnjax.guide.guide import RISK_WEIGHT
+from gnnjax.planning.batch import Batch
 from gnnjax.planning.guided import JUDGED, Guided
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.pool import Pool, in_chunks, size_for, take
-from gnnjax.planning.progress import Limits, Progress
+from gnnjax.planning.progress import Limits
 from gnnjax.planning.shortening import Shortener
+from gnnjax.planning.steps import check_routes
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import without_points
 from gnnjax.search.knowledge import Knowledge
@@ -33,15 +35,15 @@ _MOST_ROUNDS = 40  # of a roadmap, at effort 1
 
 
 @dataclasses.dataclass
-class Kept:
+class SetAside:
     """What is known of a roadmap whose best path is too unlikely, for later."""
 
     number: int
     known: Knowledge
 
 
-class Attempts(Progress):
-    """A batch of P problems, and what attempts on roadmaps have found of them."""
+class Attempts(Batch):
+    """P problems, and attempts on roadmaps for them."""
 
     def __init__(
         self,
@@ -66,16 +68,15 @@ class Attempts(Progress):
         pool: most problems on their way at once.
         shares: runs that take place side by side.
         """
-        super().__init__(robot, problems, limits, shares)
+        super().__init__(robot, problems, limits, tester, shares)
         self.strategy, self.options = strategy, options
-        self.tester, self.seed, self.pool = tester, seed, pool
+        self.seed, self.pool = seed, pool
         self.chunk = _CHUNKS[pool > 1]
-        self.placed = tester.place(self.problems.scene)
-        self.shortener = Shortener(self, strategy, tester, self.placed, self.chunk)
+        self.shortener = Shortener(self, strategy, self.chunk)
         num = len(self.paths)
         self.wanted = np.ones(num, bool)  # whether a path is still looked for
         self.straight = np.zeros(num, np.int8)  # status of the straight line
-        self.kept: list[list[Kept]] = [[] for _ in range(num)]
+        self.set_aside: list[list[SetAside]] = [[] for _ in range(num)]
 
     def attempt(
         self,
@@ -89,13 +90,13 @@ class Attempts(Progress):
         Args:
             ids: problems, some more than once.
             numbers: of their roadmaps; none is 0, or all are.
-            max_price: nats; a roadmap whose best path is less likely is kept for later.
-            known: of roadmaps that were kept.
+            max_price: nats; a roadmap whose best path is less likely is set aside.
+            known: of roadmaps that were set aside.
         """
         if not len(ids):
             return
         most = self.strategy.most_slots(int(numbers[0]))
-        pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock, self.tester, self.placed)
+        pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock)
         slots = _Slots(*np.zeros((3, pool.size), int))
         waiting = 0
         while waiting < len(ids) or (pool.ids >= 0).any():
@@ -133,7 +134,7 @@ class Attempts(Progress):
             ids: of all problems of the attempt.
             entering: which of these enter.
             number: of their roadmaps.
-            known: of roadmaps that were kept, in the order of `ids`.
+            known: of roadmaps that were set aside, in the order of `ids`.
         """
         seen = self.problems._replace(scene=without_points(self.problems.scene))
         for part, padded in in_chunks(np.arange(len(entering)), self.chunk):
@@ -192,8 +193,8 @@ class Attempts(Progress):
         # What is not priced for good is not dear yet.
         dear = ~none & (price > max_price) & ~host.unjudged[live].any(axis=1)
         for row in live[dear]:
-            kept = Kept(int(slots.number[row]), pool.known(int(row)))
-            self.kept[pool.ids[row]].append(kept)
+            aside = SetAside(int(slots.number[row]), pool.known(int(row)))
+            self.set_aside[pool.ids[row]].append(aside)
         late = ~self.in_time()[pool.ids[live]]
         gone = none | dear | late | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
         pool.ids[live[gone]] = -1
@@ -225,8 +226,7 @@ class Attempts(Progress):
     def _test(self, pool: Pool, rows: np.ndarray, route: Route, host: Route) -> None:
         """Tests the paths of some slots; what holds is certified, shortened, and leaves."""
         begin = self.clock.now()
-        tested = pool.test(host, rows)
-        self.count(pool.ids[rows], tested.outcome)
+        tested = check_routes(self, pool.ids[rows], host, rows)
         through = rows[~tested.outcome.refuted]
         through = through[self.certify_routes(pool.ids[through], through, host, tested.edges)]
         begin = self.spend(pool.ids[rows], begin)

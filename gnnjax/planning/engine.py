@@ -39,13 +39,13 @@ class Run(Attempts):
         self._search()
         if self.defers:
             had = np.array([self.best(i) is not None for i in range(len(every))], bool)
-            cut_short(self, self.tester, self.placed, every)
+            cut_short(self, every)
             self.defers = False
             # What tests found free and no certificate does: a search that goes around it.
             self.wanted = had & np.array([path is None for path in self.paths], bool)
             if self.wanted.any():
                 self._search()
-                cut_short(self, self.tester, self.placed, np.flatnonzero(self.wanted))
+                cut_short(self, np.flatnonzero(self.wanted))
         return self.plans([self._reason(i) for i in range(len(every))])
 
     @property
@@ -79,14 +79,14 @@ class Run(Attempts):
                 again = [
                     (i, one)
                     for i in self._open().tolist()
-                    for one in self.kept[i]
+                    for one in self.set_aside[i]
                     if (one.number == 0) == is_first
                 ]
                 if again:
-                    ids, kept = zip(*again, strict=True)
-                    numbers = np.array([one.number for one in kept])
-                    self.attempt(np.array(ids), numbers, np.inf, [one.known for one in kept])
-            self.kept = [[] for _ in every]
+                    ids, aside = zip(*again, strict=True)
+                    numbers = np.array([one.number for one in aside])
+                    self.attempt(np.array(ids), numbers, np.inf, [one.known for one in aside])
+            self.set_aside = [[] for _ in every]
 
     def _grow_trees(self) -> None:
         """Two trees for each problem that has no path."""
@@ -99,17 +99,7 @@ class Run(Attempts):
             begin, some = self.clock.now(), ids[first : first + _GROWN]
             outlook = Outlook(self, self.strategy, some, self.chunk)
             self.spend(some, begin)
-            grow(
-                self.robot,
-                self,
-                self.tester,
-                self.placed,
-                some,
-                outlook,
-                self.seed,
-                schedule,
-                rounds,
-            )
+            grow(self, some, outlook, self.seed, schedule, rounds)
 
     def _reason(self, i: int) -> str:
         """Why there is no path of a problem."""
@@ -130,7 +120,7 @@ class Run(Attempts):
         for number in numbers if self._on_roadmaps else ():
             most = min(num, self.pool, self.strategy.most_slots(number))
             for size in sizes_up_to(most):
-                pool = Pool(size, self.clock, self.tester, self.placed)
+                pool = Pool(size, self.clock)
                 self.enter(pool, np.zeros(1, int), np.arange(1), np.arange(1), number, None)
                 route, host = pool.route()
                 if not self.strategy.is_judged:
@@ -151,8 +141,7 @@ class Run(Attempts):
         begin = self.clock.now()
         starts, goals = self.problems.start[ids], self.problems.goal[ids]
         items = Items(np.arange(len(ids)), ids, starts, goals, np.ones(len(ids), bool))
-        outcome = self.tester(self.placed, items, len(ids), self.clock)
-        self.count(ids, outcome)
+        outcome = self.test(ids, items)
         self.straight[ids] = INVALID
         free = ~outcome.refuted
         lines = [np.stack([self.problems.start[i], self.problems.goal[i]]) for i in ids[free]]

@@ -1,5 +1,6 @@
 """The default planner's roadmaps, in the eyes of a guide."""
 
+import copy
 import functools
 from typing import Any, NamedTuple
 
@@ -87,8 +88,9 @@ class Guided:
 
     def with_weights(self, weights: Any) -> "Guided":
         """The same with other weights, and the same compiled functions."""
-        self.weights = weights
-        return self
+        other = copy.copy(self)
+        other.weights = weights
+        return other
 
     def most_slots(self, number: int) -> int:
         """Of a pool; larger roadmaps leave the caches."""

@@ -2,16 +2,15 @@
 
 import functools
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
 from gnnjax.clock import Clock
-from gnnjax.collision.sequences import Items, Outcome, PlacedScenes, SequenceTester
 from gnnjax.devices import map_first, marked_first
 from gnnjax.kept import keep
-from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
+from gnnjax.search.knowledge import Knowledge
 from gnnjax.search.rounds import Priced, Route, cheapest_route, learn, reprice
 
 _SIZES = (1, 16, 64, 256)  # slots; one compilation each
@@ -80,62 +79,15 @@ def take(pool: Any, rows: jax.Array) -> Any:
     return jax.tree.map(lambda x: x[rows], pool)
 
 
-class Tested(NamedTuple):
-    """What a round's tests found out, by slot."""
-
-    nodes: np.ndarray  # [S N] int8, by step of the route
-    edges: np.ndarray  # [S N] int8
-    outcome: Outcome  # of the slots that were tested, in order
-
-
-def items_of(
-    route: Route, rows: np.ndarray, owner: np.ndarray, most_edges: np.ndarray | None = None
-):
-    """What has to be tested of the routes of some slots: nodes first, then edges, least likely
-    first.
-
-    Returns:
-        The items, and of each its row in `rows` and its step along the route.
-    """
-    row, step = np.nonzero(route.node_unknown[rows])
-    edge_row, edge_step = np.nonzero(route.edge_unknown[rows])
-    price = route.edge_price[rows][edge_row, edge_step]
-    order = np.lexsort((edge_step, -price, edge_row))
-    edge_row, edge_step = edge_row[order], edge_step[order]
-    if most_edges is not None:
-        first = np.searchsorted(edge_row, np.arange(len(rows)))
-        kept = np.arange(len(edge_row)) - first[edge_row] < most_edges[edge_row]
-        edge_row, edge_step = edge_row[kept], edge_step[kept]
-    motion = np.repeat([False, True], [len(row), len(edge_row)])
-    row, step = np.concatenate([row, edge_row]), np.concatenate([step, edge_step])
-    order = np.lexsort((motion, row))  # stable
-    row, step, motion = row[order], step[order], motion[order]
-    points = route.points[rows]
-    last = points.shape[1] - 1
-    ends = points[row, np.minimum(step + 1, last)]
-    return Items(row, owner[row], points[row, step], ends, motion), row, step
-
-
-def verdicts(items: Items, outcome: Outcome) -> np.ndarray:
-    """Of each item: VALID, INVALID, or UNKNOWN where it was not come to."""
-    first = np.searchsorted(items.sequence, np.arange(len(outcome.num_valid)))
-    at = np.arange(len(items.sequence)) - first[items.sequence]
-    limit = outcome.num_valid[items.sequence]
-    found = np.where(at < limit, VALID, UNKNOWN)
-    return np.where((at == limit) & outcome.refuted[items.sequence], INVALID, found).astype(np.int8)
-
-
 class Pool:
     """Slots, each free or with a problem's roadmap."""
 
-    def __init__(self, size: int, clock: Clock, tester: SequenceTester, placed: PlacedScenes):
+    def __init__(self, size: int, clock: Clock):
         """Args:
         size: slots.
         clock: of the run.
-        tester: tests what is wanted.
-        placed: scenes of all problems of the run.
         """
-        self.size, self.clock, self.tester, self.placed = size, clock, tester, placed
+        self.size, self.clock = size, clock
         self.ids = np.full(size, -1)
         self.priced: Priced | None = None
         self.reading: Any = None
@@ -181,16 +133,6 @@ class Pool:
         """The cheapest path of every slot that is not free, on the device and on the host."""
         route = self.clock.call(_cheapest_routes, self.priced, *marked_first(self.ids >= 0))
         return route, jax.tree.map(np.asarray, route)
-
-    def test(self, host: Route, rows: np.ndarray, most_edges: np.ndarray | None = None) -> Tested:
-        """Tests what is unknown on the paths of some slots."""
-        items, row, step = items_of(host, rows, self.ids[rows], most_edges)
-        outcome = self.tester(self.placed, items, len(rows), self.clock)
-        found = verdicts(items, outcome)
-        nodes, edges = np.zeros((2, *host.path.shape), np.int8)
-        nodes[rows[row[~items.motion]], step[~items.motion]] = found[~items.motion]
-        edges[rows[row[items.motion]], step[items.motion]] = found[items.motion]
-        return Tested(nodes, edges, outcome)
 
     def learn(self, route: Route, nodes: np.ndarray, edges: np.ndarray) -> None:
         """Notes what came out."""

@@ -9,7 +9,6 @@ from gnnjax.arm.robot import Robot
 from gnnjax.clock import Clock
 from gnnjax.collision.certify import certify_edges, known_obstacles
 from gnnjax.collision.obstacles import Obstacles
-from gnnjax.collision.sequences import Outcome
 from gnnjax.planning.query import Plan, make_plan, path_length
 from gnnjax.problems.problem import Problem
 from gnnjax.search.knowledge import INVALID
@@ -79,11 +78,6 @@ class Progress:
         if planning:
             np.add.at(self.planning_time, ids, share)
         return now
-
-    def count(self, ids: np.ndarray, outcome: Outcome) -> None:
-        """Adds what tests of some problems cost."""
-        np.add.at(self.edge_checks, ids, outcome.num_edges)
-        np.add.at(self.search_checks, ids, outcome.num_checks)
 
     def certify(self, ids: np.ndarray, paths: list[np.ndarray]) -> list[np.ndarray]:
         """Keeps paths that are certified and shorter than what there is.

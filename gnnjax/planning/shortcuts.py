@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gnnjax.collision.sequences import Items, PlacedScenes, SequenceTester
-from gnnjax.planning.progress import Progress
+from gnnjax.collision.sequences import Items
+from gnnjax.planning.batch import Batch
 from gnnjax.planning.query import path_length
 
 _POINTS = 14  # of a piece of a path, its corners among them
@@ -23,27 +23,23 @@ _SHORTER = 1 - 1e-6  # of a length; less is rounding
 _FIRST, _SECOND = np.triu_indices(_POINTS, 1)  # [E] the motions
 
 
-def cut_short(
-    progress: Progress, tester: SequenceTester, placed: PlacedScenes, ids: np.ndarray
-) -> None:
+def cut_short(batch: Batch, ids: np.ndarray) -> None:
     """Shortens the paths of some problems, and proves what comes out.
 
     Args:
-        progress: has the paths, certified or not, and gets shorter ones.
-        tester: of the arm.
-        placed: scenes of all problems.
+        batch: has the paths, certified or not, and gets shorter ones.
         ids: of problems.
     """
-    found = {i: path for i in ids.tolist() if (path := progress.best(i)) is not None}
+    found = {i: path for i in ids.tolist() if (path := batch.best(i)) is not None}
     passes = dict.fromkeys(found, 0)
     while True:
         bent = [i for i, path in found.items() if len(path) > 2]
         bent = [i for i in bent if passes[i] < _PASSES or len(found[i]) > _POINTS]
-        in_time = progress.in_time()
+        in_time = batch.in_time()
         bent = [i for i in bent if passes[i] < 3 * _PASSES and in_time[i]]
         if not bent:
             break
-        begin = progress.clock.now()
+        begin = batch.clock.now()
         cut = []  # problem and piece of its path
         for i in bent:
             passes[i] += 1
@@ -54,29 +50,21 @@ def cut_short(
         for first in range(0, len(cut), _PIECES_AT_ONCE):
             some = cut[first : first + _PIECES_AT_ONCE]
             owners, pieces = zip(*some, strict=True)
-            for i, piece in zip(
-                owners, _cut(progress, tester, placed, np.array(owners), pieces), strict=True
-            ):
+            for i, piece in zip(owners, _cut(batch, np.array(owners), pieces), strict=True):
                 shorter[i].append(piece)
         for i in bent:
             joined = np.concatenate([*(x[:-1] for x in shorter[i]), shorter[i][-1][-1:]])
             before, after = path_length(found[i]), path_length(joined)
             if after < before:
                 found[i] = joined
-                progress.keep(i, joined)
+                batch.keep(i, joined)
             if after > _GAIN * before:
                 passes[i] = 3 * _PASSES
-        progress.spend(np.array(bent), begin)
-    progress.prove()
+        batch.spend(np.array(bent), begin)
+    batch.prove()
 
 
-def _cut(
-    progress: Progress,
-    tester: SequenceTester,
-    placed: PlacedScenes,
-    ids: np.ndarray,
-    pieces: Sequence[np.ndarray],
-) -> list[np.ndarray]:
+def _cut(batch: Batch, ids: np.ndarray, pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
     """The shortest ways `[L D]` along shortcuts of pieces of the paths of some problems."""
     points, edge = (np.stack(x) for x in zip(*map(_spread, pieces), strict=True))
     lengths = np.linalg.norm(points[:, _SECOND] - points[:, _FIRST], axis=2)
@@ -94,8 +82,7 @@ def _cut(
             points[row, _SECOND[motion]],
             np.ones(len(row), bool),
         )
-        outcome = tester(placed, items, len(row), progress.clock)
-        progress.count(ids[row], outcome)
+        outcome = batch.test(ids[row], items)
         free[row, motion], refuted[row, motion] = ~outcome.refuted, outcome.refuted
 
 

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gnnjax.collision.sequences import PlacedScenes, SequenceTester
+from gnnjax.planning.batch import Batch
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.pool import Pool, in_chunks, take
-from gnnjax.planning.progress import Progress
+from gnnjax.planning.steps import check_routes
 from gnnjax.roadmap.graph import GOAL, START
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID
 from gnnjax.search.rounds import Route
@@ -18,23 +18,13 @@ _MOST_SHORTCUTS = 8  # edges; what needs more is hardly ever free
 class Shortener:
     """Shortens paths, and keeps books on it."""
 
-    def __init__(
-        self,
-        progress: Progress,
-        strategy: Guided,
-        tester: SequenceTester,
-        placed: PlacedScenes,
-        chunk: int,
-    ):
+    def __init__(self, batch: Batch, strategy: Guided, chunk: int):
         """Args:
-        progress: of the problems; knows their best paths.
+        batch: of the problems; knows their best paths.
         strategy: finds shortcuts.
-        tester: of the arm.
-        placed: scenes of all problems.
         chunk: paths that are shortened at once.
         """
-        self.progress, self.strategy, self.tester = progress, strategy, tester
-        self.placed, self.chunk = placed, chunk
+        self.batch, self.strategy, self.chunk = batch, strategy, chunk
 
     def shorten(self, pool: Pool, rows: np.ndarray, host: Route) -> np.ndarray:
         """Shortens paths in the guide's eyes, checks them, and keeps what is certified and shorter.
@@ -42,15 +32,15 @@ class Shortener:
         Returns:
             Of each row, whether a path was kept.
         """
-        progress = self.progress
-        begin = progress.clock.now()
+        batch = self.batch
+        begin = batch.clock.now()
         inner = self.shortcuts(pool, rows, host)
         asked, kept = np.zeros(len(rows), int), np.zeros(len(rows), bool)
-        begin = progress.spend(pool.ids[rows], begin)
+        begin = batch.spend(pool.ids[rows], begin)
         while (inner.ids >= 0).any():
             live = np.flatnonzero(inner.ids >= 0)
-            route, found = inner.route()
-            begin = progress.spend(inner.ids[live], begin)
+            found = inner.route()
+            begin = batch.spend(inner.ids[live], begin)
             gone = (found.num[live] == 0) | (
                 (asked[live] >= _MOST_SHORTCUTS) & found.edge_unknown[live].any(axis=1)
             )
@@ -58,23 +48,23 @@ class Shortener:
             live = live[~gone]
             if not len(live):
                 break
-            tested = inner.test(found, live, _MOST_SHORTCUTS - asked[live])
-            progress.count(inner.ids[live], tested.outcome)
+            left_over = _MOST_SHORTCUTS - asked[live]
+            tested = check_routes(batch, inner.ids[live], found, live, left_over)
             asked[live] += tested.outcome.num_edges
-            begin = progress.spend(inner.ids[live], begin)
+            begin = batch.spend(inner.ids[live], begin)
             left = found.edge_unknown[live] & (tested.edges[live] == UNKNOWN)
             through = live[~tested.outcome.refuted & ~left.any(axis=1)]
             ids = inner.ids[through]
-            through = through[progress.certify_routes(ids, through, found, tested.edges)]
-            begin = progress.spend(ids, begin)
+            through = through[batch.certify_routes(ids, through, found, tested.edges)]
+            begin = batch.spend(ids, begin)
             kept[through], inner.ids[through] = True, -1
             if (inner.ids >= 0).any():
-                inner.learn(route, tested.nodes, tested.edges)
+                inner.learn(found, tested.nodes, tested.edges)
         return kept
 
-    def shortcuts(self, pool: Pool, rows: np.ndarray, host: Route) -> "PathPool":
+    def shortcuts(self, pool: Pool, rows: np.ndarray, host: Route) -> "PathRoadmaps":
         """The path roadmaps of the paths of some slots, in a pool of their own."""
-        clock, parts = self.progress.clock, []
+        clock, parts = self.batch.clock, []
         for part, padded in in_chunks(rows, self.chunk):
             readings = clock.call(take, pool.reading, padded)
             found = clock.call(
@@ -86,7 +76,7 @@ class Shortener:
             )
             parts.append([np.asarray(x)[: len(part)] for x in found])
         points, price = (np.concatenate(x) for x in zip(*parts, strict=True))
-        return PathPool(pool, pool.ids[rows].copy(), points, price)
+        return PathRoadmaps(pool.ids[rows].copy(), points, price)
 
 
 class _Known(NamedTuple):
@@ -96,19 +86,17 @@ class _Known(NamedTuple):
     node_status: np.ndarray  # [S V] int8
 
 
-class PathPool(Pool):
-    """Path roadmaps, whose few points are joined all to all. They are searched on the host, where
-    that takes less than calling a compiled function.
+class PathRoadmaps:
+    """Roadmaps of paths, whose few points are joined all to all. They are searched on the host,
+    where that takes less than calling a compiled function.
     """
 
-    def __init__(self, pool: Pool, ids: np.ndarray, points: np.ndarray, price: np.ndarray):
+    def __init__(self, ids: np.ndarray, points: np.ndarray, price: np.ndarray):
         """Args:
-        pool: of the paths.
-        ids: `[S]` of their problems.
+        ids: `[S]` of the paths' problems; -1 once a path is through.
         points: `[S V D]`, from `shortened`.
         price: `[S V V]` rad.
         """
-        super().__init__(len(ids), pool.clock, pool.tester, pool.placed)
         num, num_points = points.shape[:2]
         self.ids, self._points, self._price = ids, points, price
         self._lengths = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
@@ -116,10 +104,8 @@ class PathPool(Pool):
         nodes[:, [START, GOAL]] = VALID
         self._known = _Known(np.full(price.shape, UNKNOWN, np.int8), nodes)
 
-    def is_wide(self) -> bool:
-        return False
-
-    def route(self) -> tuple[Route, Route]:
+    def route(self) -> Route:
+        """The cheapest way of every path that is not through."""
         rows = np.flatnonzero(self.ids >= 0)
         every = np.arange(len(rows))[:, None]
         status, node_status = (x[rows] for x in self._known)
@@ -159,13 +145,14 @@ class PathPool(Pool):
             edge_price=np.where(edge_unknown, price[every, near, slots], np.float32(0)),
             unjudged=np.zeros_like(edge_unknown),
         )
-        route = Route(*(np.zeros((self.size, *x.shape[1:]), x.dtype) for x in found))
+        route = Route(*(np.zeros((len(self.ids), *x.shape[1:]), x.dtype) for x in found))
         for whole, part in zip(route, found, strict=True):
             whole[rows] = part
-        return route, route
+        return route
 
     def learn(self, route: Route, nodes: np.ndarray, edges: np.ndarray) -> None:
-        path, (status, node_status) = np.asarray(route.path), self._known
+        """Notes what came out of steps `[S N]` of a route."""
+        path, (status, node_status) = route.path, self._known
         row, step = np.nonzero(nodes != UNKNOWN)
         node_status[row, path[row, step]] = nodes[row, step]
         row, step = np.nonzero(edges != UNKNOWN)

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from gnnjax.arm.robot import Robot
 from gnnjax.collision.blocks import runs_of
-from gnnjax.collision.sequences import Items, PlacedScenes, SequenceTester
+from gnnjax.collision.sequences import Items
+from gnnjax.planning.batch import Batch
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.pool import in_chunks
 from gnnjax.planning.progress import Progress
@@ -80,23 +80,17 @@ class Outlook:
 
 
 def grow(
-    robot: Robot,
-    progress: Progress,
-    tester: SequenceTester,
-    placed: PlacedScenes,
+    batch: Batch,
     ids: np.ndarray,
     outlook: Outlook,
     seed: int,
     schedule: Schedule,
     rounds: int,
 ) -> None:
-    """Grows trees for problems without a path, whose paths go to `progress`.
+    """Grows trees for problems without a path.
 
     Args:
-        robot: the arm.
-        progress: of all problems.
-        tester: of the arm.
-        placed: scenes of all problems.
+        batch: of all problems, which gets the paths.
         ids: of the problems.
         outlook: for the same problems.
         seed: of the random configurations, the same for all.
@@ -104,23 +98,23 @@ def grow(
         rounds: the most.
     """
     # An end may lie in another turn of a joint.
-    ends = [x[ids].astype(np.float32) for x in (progress.problems.start, progress.problems.goal)]
+    ends = [x[ids].astype(np.float32) for x in (batch.problems.start, batch.problems.goal)]
     trees = [[Tree(root) for root in roots] for roots in ends]
-    lower = np.minimum(robot.drawn_lower, np.minimum(*ends))
-    span = np.maximum(robot.drawn_upper, np.maximum(*ends)) - lower
+    lower = np.minimum(batch.robot.drawn_lower, np.minimum(*ends))
+    span = np.maximum(batch.robot.drawn_upper, np.maximum(*ends)) - lower
     rng = np.random.default_rng([seed, 2])
     for number in range(rounds):
-        drawn = rng.random((DRAWN, robot.num_dof))
-        open_rows = np.flatnonzero(progress.open()[ids])
+        drawn = rng.random((DRAWN, batch.robot.num_dof))
+        open_rows = np.flatnonzero(batch.open()[ids])
         if not len(open_rows):
             return
-        begin = progress.clock.now()
-        progress.rounds[ids[open_rows]] += 1
+        begin = batch.clock.now()
+        batch.rounds[ids[open_rows]] += 1
         first, second = trees if number % 2 == 0 else trees[::-1]
         goal = (lower[open_rows, None] + drawn * span[open_rows, None]).astype(np.float32)
         choices = next(some for begin, some in reversed(schedule.choices) if number >= begin)
         rows, near, goal = _likely(first, second, outlook, open_rows, goal, number, choices)
-        tips = _extend(progress, tester, placed, ids, first, rows, near, goal, _LONGEST[0])
+        tips = _extend(batch, ids, first, rows, near, goal, _LONGEST[0])
         grown = tips >= 0
         rows, tips = rows[grown], tips[grown]
         if len(rows):
@@ -129,18 +123,18 @@ def grow(
             near = np.concatenate(
                 [second[row].nearest(goal[at : at + num]) for row, at, num in runs]
             )
-            others = _extend(progress, tester, placed, ids, second, rows, near, goal, _LONGEST[1])
+            others = _extend(batch, ids, second, rows, near, goal, _LONGEST[1])
             meet = [
                 other >= 0 and (second[row].nodes[other] == q).all()
                 for row, other, q in zip(rows, others, goal, strict=True)
             ]
             both = (tips, others) if first is trees[0] else (others, tips)
-            _join(progress, ids, trees, rows[meet], *(x[meet] for x in both))
-        progress.spend(ids[open_rows], begin)
+            _join(batch, ids, trees, rows[meet], *(x[meet] for x in both))
+        batch.spend(ids[open_rows], begin)
 
 
 def _join(
-    progress: Progress,
+    batch: Batch,
     ids: np.ndarray,
     trees: list[list[Tree]],
     rows: np.ndarray,
@@ -157,7 +151,7 @@ def _join(
         paths.append(
             np.concatenate([trees[0][row].nodes[own[::-1]], trees[1][row].nodes[beyond[1:]]])
         )
-    certified = progress.certify_or_keep(ids[rows], paths)
+    certified = batch.certify_or_keep(ids[rows], paths)
     if certified is None:
         return
     for row, way, good in zip(rows, ways, certified, strict=True):
@@ -212,9 +206,7 @@ def _likely(
 
 
 def _extend(
-    progress: Progress,
-    tester: SequenceTester,
-    placed: PlacedScenes,
+    batch: Batch,
     ids: np.ndarray,
     trees: list[Tree],
     rows: np.ndarray,
@@ -229,7 +221,7 @@ def _extend(
         The last nodes that were added, -1 where none was.
     """
     if len(rows) > _BRANCHES_AT_ONCE:
-        own = functools.partial(_extend, progress, tester, placed, ids, trees, most=most)
+        own = functools.partial(_extend, batch, ids, trees, most=most)
         parts = [slice(i, i + _BRANCHES_AT_ONCE) for i in range(0, len(rows), _BRANCHES_AT_ONCE)]
         return np.concatenate([own(rows[part], near[part], goal[part]) for part in parts])
     start = np.stack([trees[row].nodes[node] for row, node in zip(rows, near, strict=True)])
@@ -250,8 +242,7 @@ def _extend(
         np.repeat(at, 2, axis=0),
         np.tile([False, True], len(of)),
     )
-    outcome = tester(placed, items, len(rows), progress.clock)
-    progress.count(ids[rows], outcome)
+    outcome = batch.test(ids[rows], items)
     free = outcome.num_valid // 2
     branches = at[step <= free[of]]
     tips, own = np.full(len(rows), -1), np.flatnonzero(free)
