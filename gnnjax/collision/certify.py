@@ -27,16 +27,16 @@ _EDGES_A_BLOCK = 1024  # of which pieces are kept at a time
 
 
 def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
-    """Proves that a path is free of collisions, boxes and the arm itself, along its whole length,
-    but for contacts that are meant (`allow_contacts`). Of torques it says nothing (`time_path`).
+    """Proves that a path is free of collisions, with obstacles and the arm itself, along its whole
+    length, but for allowed contacts (`allow_contacts`). Of torques it says nothing (`time_path`).
 
-    The path is cut into pieces. A piece is free when, at its middle, every collision geom is
+    The path is cut into pieces. A piece is free when, at its middle, every part of the arm is
     farther from everything else than any of its points can move until the piece's ends
-    (`travel.py`); otherwise the piece is cut further. Capsules count as chains of spheres that
-    enclose them.
+    (`travel.py`); otherwise the piece is cut further. The spheres around the arm's parts are
+    looked at first; where they leave it open, the convex parts themselves.
 
     Args:
-        robot: the arm, with spheres and capsules as collision geoms.
+        robot: the arm.
         scene: one scene.
         path: `[L, D]` configurations, one or more, joined by straight lines.
 
@@ -45,9 +45,9 @@ def certify_path(robot: Robot, scene: Scene, path: ArrayLike) -> bool:
         closely to tell, leaves the joint limits, or is not a number somewhere.
 
     Raises:
-        InputError: a path of another shape, or a scene with boxes that are none: whatever was
-            checked before, a scene must be finite, its boxes have a size, and its quaternions be
-            normalized.
+        InputError: a path of another shape, or a scene with obstacles that are none: whatever
+            was checked before, a scene must be finite, its obstacles have a size, and its
+            quaternions be normalized.
     """
     path = configurations_of(robot, "path", path)
     if not len(path):
@@ -71,7 +71,7 @@ def certify_edges(
     within the slack of the line's point.
 
     Args:
-        robot: the arm, with spheres and capsules as collision geoms.
+        robot: the arm.
         scene: one scene, or P scenes `[P, M, ...]`; or their `known_obstacles`.
         starts: `[E, D]` configurations.
         ends: `[E, D]` configurations.
@@ -79,7 +79,7 @@ def certify_edges(
         slack: `[E, D]` how far each joint may be from the line, rad or m; None: not at all.
 
     Raises:
-        InputError: arrays of other shapes, or a scene with boxes that are none.
+        InputError: arrays of other shapes, or a scene with obstacles that are none.
     """
     starts, ends = (
         configurations_of(robot, "starts", starts),

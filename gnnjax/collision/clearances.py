@@ -57,7 +57,7 @@ def is_self_free(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def base_clear(robot: Robot, scene: Scene | Obstacles) -> np.ndarray:
-    """Whether the arm's base is clear of each box, `[M]`, or `[P, M]` in P scenes.
+    """Whether the arm's base is clear of each obstacle, `[M]`, or `[P, M]` in P scenes.
 
     The base is what no joint moves, which certificates and clearances leave out. True where no box
     is. Capsules count as chains of spheres here, too. One more tells of the cloud, where scenes

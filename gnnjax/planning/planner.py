@@ -95,7 +95,7 @@ class Planner(abc.ABC):
 
         Raises:
             InputError: start or goal is no valid configuration, or no valid one reaches the pose; a
-                box stands in the base; limits of a motion that are missing or not positive.
+                obstacle stands in the base; limits of a motion that are missing or not positive.
         """
         motion = motion_options(self.robot, trajectory)
         margin, seed = self.options.margin, check_seed(seed)
@@ -178,7 +178,7 @@ class Planner(abc.ABC):
         contain compilation.
 
         Args:
-            scene: whose padded number of boxes, and whether one is rotated, are what counts.
+            scene: whose padded number of obstacles, and whether one is rotated, are what counts.
             batch_size: problems at once.
         """
 

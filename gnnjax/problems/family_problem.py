@@ -63,7 +63,7 @@ def sample_family_problem(
         family: a key of `FAMILIES`.
         robot: the arm; for "upright", one that holds something.
         check_configurations: of a `Checker` for rotated boxes.
-        boxes_clear: tells for each box whether the geoms that no joint moves are clear of it.
+        boxes_clear: tells for each obstacle whether the geoms that no joint moves are clear of it.
     """
 
     def attempt(number: jax.Array) -> FamilyProblem:

@@ -96,7 +96,7 @@ def sample_scene(
 
     Args:
         key: randomness.
-        boxes_clear: tells for each box of a scene whether the arm at q = 0 is clear of it.
+        boxes_clear: tells for each obstacle of a scene whether the arm at q = 0 is clear of it.
     """
     num_key, size_key, center_key = jax.random.split(key, 3)
     shape = (max_boxes * candidates, 3)
@@ -127,7 +127,7 @@ def sample_problem(
         key: randomness.
         robot: the arm.
         check_configurations: of a `Checker`.
-        boxes_clear: tells for each box whether the arm at q = 0 is clear of it.
+        boxes_clear: tells for each obstacle whether the arm at q = 0 is clear of it.
     """
     scene_key, ends_key = jax.random.split(key)
     scene = sample_scene(scene_key, boxes_clear)

@@ -1,7 +1,7 @@
 """Scenes: obstacles in the frame of the arm's base, padded to a fixed number with a mask."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -141,26 +141,28 @@ def make_scene(
 
 
 def pad_scene(scene: Scene, max_boxes: int) -> Scene:
-    """Pads a NumPy scene `[*batch, M]` with obstacles that do not exist, up to `max_boxes`."""
+    """Pads a scene `[*batch, M]` with obstacles that do not exist, up to `max_boxes`. Of NumPy's
+    arrays, or inside of compiled functions."""
     missing = max_boxes - scene.mask.shape[-1]
     if missing < 0:
         raise InputError(
             f"the scene has room for {scene.mask.shape[-1]} obstacles, more than {max_boxes}; "
             "raise max_boxes"
         )
+    arrays = np if isinstance(scene.mask, np.ndarray) else jnp
 
-    def pad(array: np.ndarray, value: float | bool) -> np.ndarray:
-        axis = scene.mask.ndim - 1
+    def pad(array: Any, value: float | bool) -> Any:
         widths = [(0, 0)] * array.ndim
-        widths[axis] = (0, missing)
-        return np.pad(np.asarray(array), widths, constant_values=value)
+        widths[scene.mask.ndim - 1] = 0, missing
+        return arrays.pad(array, widths, constant_values=value)
 
-    quats = pad(scene.quats, 0.0)
-    quats[..., scene.mask.shape[-1] :, 0] = 1.0
+    quats = arrays.asarray(scene.quats)
+    identity = arrays.asarray(IDENTITY_QUAT, quats.dtype)
+    blank = arrays.broadcast_to(identity, (*quats.shape[:-2], missing, 4))
     return Scene(
         pad(scene.centers, 0.0),
         pad(scene.half_extents, _BLANK_SIZE),
-        quats,
+        arrays.concatenate([quats, blank], axis=-2),
         pad(scene.radii, 0.0),
         pad(scene.mask, False),
         scene.cloud,
@@ -181,22 +183,6 @@ def without_points(scene: Scene) -> Scene:
     if scene.cloud is None:
         return scene
     return scene._replace(cloud=scene.cloud._replace(points=scene.cloud.points[..., :0, :]))
-
-
-def pad_boxes(scene: Scene, max_boxes: int) -> Scene:
-    """`pad_scene` inside of compiled functions: room for `max_boxes`, existing boxes as before."""
-    pad = max_boxes - scene.mask.shape[-1]
-    identity = jnp.tile(jnp.array(IDENTITY_QUAT), (pad, 1))
-    return Scene(
-        jnp.pad(scene.centers, ((0, pad), (0, 0))),
-        jnp.pad(scene.half_extents, ((0, pad), (0, 0)), constant_values=_BLANK_SIZE),
-        jnp.concatenate([scene.quats, identity]),
-        jnp.pad(scene.radii, ((0, pad), (0, 0))),
-        jnp.pad(scene.mask, (0, pad)),
-        scene.cloud,
-        scene.allowed
-        and scene.allowed._replace(pairs=jnp.pad(scene.allowed.pairs, ((0, pad), (0, 0)))),
-    )
 
 
 def is_axis_aligned(scene: Scene) -> bool:

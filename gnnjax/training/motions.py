@@ -17,7 +17,7 @@ from gnnjax.devices import map_first
 from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.problems.family_problem import draw_family_scene
 from gnnjax.problems.problem import sample_scene
-from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_boxes
+from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_scene
 from gnnjax.training.parallel import on_each_device
 
 _MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
@@ -38,13 +38,13 @@ def scene_sampler(robot: Robot) -> Callable[[jax.Array], Scene]:
     clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
 
     def paper(key: jax.Array) -> Scene:
-        return pad_boxes(sample_scene(key, clear), _MAX_BOXES)
+        return pad_scene(sample_scene(key, clear), _MAX_BOXES)
 
     def family(name: str, key: jax.Array) -> Scene:
         scene = draw_family_scene(key, name, robot).scene
         # Boxes in the arm's base would block every motion.
         scene = scene._replace(mask=scene.mask & clear(scene, base_only=True))
-        return pad_boxes(scene, _MAX_BOXES)
+        return pad_scene(scene, _MAX_BOXES)
 
     kinds = [paper, *(functools.partial(family, name) for name in BOX_FAMILIES)]
     shares = [_PAPER_SHARE] + [(1 - _PAPER_SHARE) / len(BOX_FAMILIES)] * len(BOX_FAMILIES)
