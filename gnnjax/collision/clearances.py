@@ -59,9 +59,8 @@ def is_self_free(robot: Robot, q: np.ndarray) -> np.ndarray:
 def base_clear(robot: Robot, scene: Scene | Obstacles) -> np.ndarray:
     """Whether the arm's base is clear of each obstacle, `[M]`, or `[P, M]` in P scenes.
 
-    The base is what no joint moves, which certificates and clearances leave out. True where no box
-    is. Capsules count as chains of spheres here, too. One more tells of the cloud, where scenes
-    have one.
+    The base is what no joint moves, which certificates and clearances leave out. True where no
+    obstacle is. One more tells of the cloud, where scenes have one.
     """
     obstacles = known_obstacles(robot, scene)
     clear = clear_of_base(spheres_of(robot), obstacles).T
@@ -69,7 +68,7 @@ def base_clear(robot: Robot, scene: Scene | Obstacles) -> np.ndarray:
 
 
 def path_clearance(robot: Robot, scene: Scene, path: np.ndarray, resolution: float) -> float:
-    """Least distance [m] of the arm to boxes and itself along a path, seen at samples.
+    """Least distance [m] of the arm to obstacles and itself along a path, seen at samples.
 
     Args:
         robot: the arm.

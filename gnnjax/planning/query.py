@@ -85,7 +85,7 @@ def check_query(
         margin: clearance that both must have from obstacles, m.
 
     Raises:
-        InputError: start or goal is no valid configuration, an obstacle is none, or one stands in the
+        InputError: start or goal is no valid configuration, an obstacle is none, or stands in the
             base.
     """
     check_scene(scene)
