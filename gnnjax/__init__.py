@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import gnnjax.interruption  # noqa: F401  first: from here on a command can be interrupted
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot, load_robot
+from gnnjax.arm.turns import in_all_turns
 from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import Checker, make_checker
 from gnnjax.collision.edges import EdgeChecks
@@ -147,6 +148,7 @@ __all__ = [
     "greedy_search",
     "half_space",
     "height_field",
+    "in_all_turns",
     "inverse_kinematics",
     "label_roadmap",
     "lazy_search",

@@ -37,7 +37,7 @@ arm.shipped
 arm.parts arm.bodies arm.hulls arm.couplings arm.joints arm.mjcf arm.mesh_files arm.urdf arm.sources
 arm.contacts arm.choice arm.load
 arm.reading arm.fit arm.blocks arm.covers arm.robot arm.kinematics arm.transforms arm.torques
-arm.meetings
+arm.turns arm.meetings
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
 scene.scene scene.batches scene.allowed scene.surfaces scene.octomap scene.units scene.scene_file
 scene.geometry scene.field scene.mujoco_world

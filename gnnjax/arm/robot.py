@@ -68,7 +68,7 @@ class Robot:
     geom_radii: np.ndarray  # [G] m
     geom_inner_radii: np.ndarray  # [G] m, of what lies inside the part; not above 0: the centre is
     # outside of it
-    self_pairs: np.ndarray  # [S 2] indices of rows of `part_pairs`
+    self_pairs: np.ndarray  # [S 2] of spheres that must stay clear of each other
     loads: tuple[Load, ...]  # what it holds, in the order of `attach`
     notes: tuple[str, ...]  # what was decided where the file leaves it open
 
