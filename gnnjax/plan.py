@@ -7,6 +7,7 @@ import numpy as np
 import tyro
 
 from gnnjax.arguments import parse_arguments
+from gnnjax.arm.turns import in_all_turns
 from gnnjax.arm_options import load_arm
 from gnnjax.errors import InputError, needs_extra, run_command
 from gnnjax.files import atomic_write, check_apart, check_target
@@ -26,6 +27,8 @@ _UNTOLD = ("reason", "trajectory")  # of a plan, in the file of its path
 class PlanConfig(QueryOptions, PlannerOptions, MotionOptions):
     """Plan one query and write its path."""
 
+    any_turn: bool = False
+    """Go to the goal in whichever turn is nearest of joints that turn by more than 2 pi."""
     out: Path = Path("path.npz")
     """Where the path goes: arrays path [L, D], cost, clearance (m, from obstacles,
     proven) and counts."""
@@ -55,6 +58,10 @@ def main(config: PlanConfig) -> int:
             "(arrays), or a motion's file as --trajectory, which may be .csv or .json"
         )
     robot, start, goal, scene = read_query(config, load_arm(config, config.torque))
+    if config.any_turn:
+        if "goal" not in goal:
+            raise InputError("--any-turn is of a --goal; a pose is reached in any turn as it is")
+        goal = {"goals": in_all_turns(robot, goal["goal"])}
     moves = config.trajectory is not None or config.video is not None
     if config.trajectory is not None:
         check_trajectory_file(config.trajectory)

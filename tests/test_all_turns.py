@@ -56,6 +56,20 @@ def test_what_is_no_configuration_is_refused(wide, q):
         in_all_turns(wide, q)
 
 
+def test_the_command_goes_to_the_goal_in_any_turn(wide, tmp_path, run_as_command):
+    scene = tmp_path / "scene.json"
+    scene.write_text('{"boxes": [{"center": [0, 0, 0.9], "half_extents": [0.05, 0.05, 0.05]}]}')
+    words = ["--robot", wide.path, "--scene", scene, "--start", 3, 0, 0, "--any-turn"]
+    words += ["--out", tmp_path / "path.npz"]
+    status, printed, _ = run_as_command("gnnjax.plan", *words, "--goal", -3, 0, 0)
+    assert status in (0, None)
+    assert "cost 0.283 rad" in printed
+    pose = ["--goal-pose", 0.5, 0, 0.3, 1, 0, 0, 0]
+    status, _, said = run_as_command("gnnjax.plan", *words, *pose)
+    assert status == 2
+    assert "--any-turn is of a --goal" in said
+
+
 def test_a_goal_in_any_turn_may_be_nearer(wide):
     planner = load_planner(wide)
     start, goal = np.float32([3.0, 0.0, 0.0]), np.float32([-3.0, 0.0, 0.0])

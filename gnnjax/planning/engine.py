@@ -110,7 +110,12 @@ class Run(Attempts):
                 f"{self.rounds[i]} rounds"
             )
         why = self.given_up(i, tried)
-        return f"{tried}; more effort may find one" if why == tried else why
+        if why != tried:
+            return why
+        more = "; more effort may find one"
+        if self.robot.turns_more_than_once.any():
+            more += ", or the goal in another turn (in_all_turns, --any-turn)"
+        return tried + more
 
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
