@@ -155,6 +155,14 @@ def test_an_array_that_names_obstacles_is_refused_read_or_written(tmp_path, robo
         save_problems(tmp_path / "other.npz", problem_set)
 
 
+def test_further_arrays_are_kept(tmp_path, robot):
+    problem_set = random_set()
+    problem_set.extras["ground_truth_cost"] = np.arange(6.0)
+    save_problems(tmp_path / "set.npz", problem_set)
+    found = load_problems(tmp_path / "set.npz", robot).extras
+    np.testing.assert_array_equal(found["ground_truth_cost"], np.arange(6.0))
+
+
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 def test_an_array_that_comes_twice_is_refused(tmp_path, robot):
     save_problems(tmp_path / "set.npz", random_set())

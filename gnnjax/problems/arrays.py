@@ -62,7 +62,7 @@ def check_further(source: str, extras: dict[str, np.ndarray]) -> None:
     for name in extras:
         if name.startswith(_OWN_PREFIXES):
             continue
-        words = re.findall("[a-z]+", name.lower())
+        words = re.findall("[a-z]+", re.sub("ground.?truth", "", name.lower()))
         words += [first + second for first, second in itertools.pairwise(words)]
         singular = {w.removesuffix(end) for w in words for end in ("", "s", "es")}
         if singular & _SHAPE_WORDS or name.lower().endswith(_SHAPE_ENDINGS):
