@@ -30,9 +30,9 @@ class QueryOptions(SceneOptions, HoldingOptions):
     """An arm, what stands around it, and where it is to go from where."""
 
     start: tuple[float, ...] | None = None
-    """Joint values, rad."""
+    """Joint values, rad (m for slides), in the order that `gnnjax.fit` prints."""
     goal: tuple[float, ...] | None = None
-    """Joint values, rad."""
+    """Joint values, rad (m for slides), in the order that `gnnjax.fit` prints."""
     goal_pose: tuple[float, float, float, float, float, float, float] | None = None
     """In place of a goal: where a frame of the arm should be, x y z (m) and a quaternion w x y z,
     in the frame of the arm's base."""

@@ -81,15 +81,18 @@ class TrainConfig(ArmOptions):
     validity_weight: float = 0.3
     """Weight of learning which edges are valid; 0 for no such head."""
     geometric_features: bool = True
-    """See `GuidanceNetwork`."""
+    """Let the network read configurations, edge lengths and distances to the goal directly, beside
+    the codes that it computes."""
     workspace_points: int = 12
-    """See `GuidanceNetwork`."""
+    """Points on the arm whose distances to the obstacles the network reads; 0 for none. Needs
+    --geometric-features and a --validity-weight above 0."""
     num_dof: int = 7
-    """See `GuidanceNetwork`."""
+    """Joints that the network is made for. An arm with fewer counts as having further joints fixed
+    at zero."""
     channels: int = 32
-    """See `GuidanceNetwork`."""
+    """Size of the codes that the network computes, a multiple of 4."""
     without: tuple[Part, ...] = ()
-    """Parts of the network to leave out, see `GuidanceNetwork`."""
+    """Parts of the network to leave out, for an ablation."""
 
     validate_every: int = 4
     """Epochs between validations, which plan, and checkpoints."""

@@ -63,9 +63,9 @@ class TrainMotionConfig(JointOptions):
     learning_rate: float = 4e-3
     """Peak rate of AdamW, which warms up and decays by a cosine."""
     num_points: int = 12
-    """See `MotionNetwork`."""
+    """Points on the arm whose distances to the obstacles the network reads."""
     channels: int = 48
-    """See `MotionNetwork`."""
+    """Width of both hidden layers."""
     save_every: int = 100
     """Steps between checkpoints and log records, which validate."""
     figure: Path | None = None
