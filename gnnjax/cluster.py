@@ -84,8 +84,8 @@ class ConnectedOptions(ClusterOptions):
     """Several processes, on one machine or many, that are started with the same command."""
 
     coordinator: str | None = None
-    """Address of process 0, host:port, where no Slurm or mpirun has it, nor JAX's environment
-    variable JAX_COORDINATOR_ADDRESS."""
+    """Address of process 0, host:port. Not needed with Slurm or mpirun, or where JAX's environment
+    variable JAX_COORDINATOR_ADDRESS tells it."""
 
     @contextlib.contextmanager
     def connected(self, target: Path) -> Iterator[Place]:

@@ -53,13 +53,13 @@ class TrainMotionConfig(JointOptions):
     resume: bool = False
     """Go on from the last checkpoint in `out`; without one, start from the beginning."""
     seed: int = 0
-    """Of weights and data."""
+    """Seed of weights and data."""
     steps: int = 3000
-    """Batches."""
+    """Steps; each learns from one batch."""
     scenes: int = 16
-    """Scenes a batch."""
+    """Scenes per batch."""
     motions: int = 512
-    """Motions a scene."""
+    """Motions per scene."""
     learning_rate: float = 4e-3
     """Peak rate of AdamW, which warms up and decays by a cosine."""
     num_points: int = 12
