@@ -1,5 +1,5 @@
-"""Trains a motion network for an arm for some seconds, and plans the same problems with it and with
-the distance field, which nobody trained.
+"""Trains a motion network for an arm, and plans the same problems with it and with the distance
+field, which needs no training. It takes about two minutes of CPU time, most of it to compile.
 
 python examples/train_and_compare.py
 """

@@ -1,5 +1,5 @@
-"""Writes the results into the texts: results.md, paper.md and certificate.md in docs/, and the
-README's tables.
+"""Writes the results into the texts: results.md, paper.md and certificate.md in docs/, a paragraph
+of cluster.md there, and the README's tables.
 
     python -m experiments.report
 
@@ -10,7 +10,7 @@ typed by hand, and neither is whether a claim holds.
 import dataclasses
 from pathlib import Path
 
-from experiments import certificate_page, paper
+from experiments import certificate_page, cluster_page, paper
 from experiments.readme import readme
 from experiments.record import section
 from experiments.registry import EXPERIMENTS
@@ -27,7 +27,7 @@ class ReportConfig:
     results: Path = Path("results")
     """Where the JSON is."""
     docs: Path = Path("docs")
-    """Where results.md, paper.md and certificate.md go."""
+    """Where results.md, paper.md, certificate.md and cluster.md are."""
     readme: Path = Path("README.md")
     """Whose tables are replaced."""
 
@@ -54,9 +54,13 @@ def texts(config: ReportConfig) -> dict[Path, str]:
     """What every file with results should hold."""
     results = {name: load_results(config.results / f"{name}.json") for name in EXPERIMENTS}
     written = config.readme.read_text(encoding="utf-8")
+    cluster = config.docs / "cluster.md"
     return {
         config.readme: readme(written, results["figure5"], config.readme),
         config.docs / "results.md": results_page(results),
+        config.docs / "cluster.md": cluster_page.page(
+            cluster.read_text(encoding="utf-8"), results["throughput"], cluster
+        ),
         config.docs / "paper.md": paper.page(results),
         config.docs / "certificate.md": certificate_page.page(
             certificate_page.load_campaigns(config.results)

@@ -20,7 +20,7 @@ from gnnjax.planning.load import load_planner, make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.planner import Planner
 from gnnjax.planning.processes import PlannerProcesses
-from gnnjax.planning.query import Plan
+from gnnjax.planning.query import Plan, QueryPlanner
 from gnnjax.planning.strategy import Strategy
 from gnnjax.pose.goal import PoseGoal
 from gnnjax.pose.inverse import Solutions, inverse_kinematics
@@ -118,6 +118,7 @@ __all__ = [
     "Prices",
     "Problem",
     "ProblemSet",
+    "QueryPlanner",
     "Roadmap",
     "Robot",
     "Samples",

@@ -11,7 +11,7 @@ COMMANDS = {
     "evaluate": "plan all problems of a set, and sum up",
     "planner_arena": "results of evaluate as a database for OMPL's Planner Arena",
     "train_motion": "train a motion network, a guide that learns",
-    "train": "train the paper's network",
+    "train": "train a guidance network (the paper's with --preset paper)",
 }
 
 

@@ -22,8 +22,8 @@ class JointOptions:
     hold: Annotated[
         tuple[tuple[str, float], ...], tyro.conf.arg(metavar="JOINT VALUE [JOINT VALUE ...]")
     ] = ()
-    """Joints that do not move, and where, rad or m: finger_1 0.04 finger_2 0.04. Others that are
-    not planned for are held at home, or at zero."""
+    """Joints that do not move, and their values, rad or m: finger_1 0.04 finger_2 0.04. Other
+    joints that are not planned for are held at home, or at zero."""
     allow: Annotated[
         tuple[tuple[str, str], ...], tyro.conf.arg(metavar="BODY BODY [BODY BODY ...]")
     ] = ()

@@ -28,9 +28,10 @@ class ClusterOptions:
     """Several processes, on one machine or many, that are started with the same command."""
 
     distributed: bool = False
-    """Share the work with the other processes of a Slurm step or of mpirun, or those that the next
-    two options count. All see the same folders. However many they are, the outcome is the same, and
-    started again, also in another number, they go on."""
+    """Share the work with the other processes of a Slurm step or of mpirun, or with those that the
+    next two options count. All need to see the same folders. Results do not depend on how many
+    there are; weights of a training are equal to rounding. Started again, in whatever number, they
+    go on."""
     process_id: int | None = None
     """Number of this process, from 0."""
     process_count: int | None = None
@@ -83,8 +84,8 @@ class ConnectedOptions(ClusterOptions):
     """Several processes, on one machine or many, that are started with the same command."""
 
     coordinator: str | None = None
-    """Address of process 0, host:port, where no Slurm or mpirun has it, nor JAX's environment
-    variable JAX_COORDINATOR_ADDRESS."""
+    """Address of process 0, host:port. Not needed with Slurm or mpirun, or where JAX's environment
+    variable JAX_COORDINATOR_ADDRESS tells it."""
 
     @contextlib.contextmanager
     def connected(self, target: Path) -> Iterator[Place]:

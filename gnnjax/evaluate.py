@@ -60,23 +60,23 @@ class EvaluateConfig(HoldingOptions, PlannerOptions):
     problems: Path
     """An .npz of problems, or a folder of shards."""
     json: Path
-    """Where results go; goes on with what is there if it has the same settings."""
+    """Where results go; results of the same settings that are there already are continued."""
     num_problems: int | None = None
     """Only the first so many problems."""
     batch_size: int = 1
     """Problems planned at once, fewer where memory does not suffice. With 1, times are those of
-    single queries; with more, the shares of each problem in its batch."""
+    single queries; with more, each problem has an equal share of the time of its batch."""
     processes: int = 1
-    """Processes that share each batch, each on a core of its own; not for OMPL's planners. They
-    are workers of this one, on its machine, and take turns batch by batch: times are those of a
-    batch. With --distributed, every process has its own batches and workers."""
+    """Worker processes on this machine that share each batch, each on a core of its own; not for
+    OMPL's planners. Times are those of a batch. With --distributed, every process has its own
+    batches and workers."""
     time_limit: float = 5.0
     """Seconds a problem may take; a path that comes later is a failure."""
     seed: int = 0
-    """Of the roadmaps, or of OMPL's random numbers."""
+    """Seed of roadmaps and trees, or of OMPL's random numbers."""
     keep_parts: bool = False
-    """Leave the rows in the folder JSON.parts, in files of up to some thousand, and write into the
-    JSON what they come to: for more of them than fit into memory."""
+    """Leave the rows in the folder JSON.parts, in files of up to some thousand, and write only
+    their summary into the JSON. This is for more rows than fit into memory."""
     figure: Path | None = None
     """Where a picture of the summary goes (needs the viz extra)."""
     beside: tuple[Path, ...] = ()

@@ -33,13 +33,13 @@ class ExecuteConfig(SceneOptions, ArmOptions):
     """Carry a motion out in MuJoCo, with contacts, by a controller that knows the arm's model."""
 
     trajectory: Path
-    """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json). What the
-    arm held is in it, and what --joints, --hold and --allow were, but for a .csv."""
+    """The motion: a file of python -m gnnjax.plan --trajectory (.npz, .csv or .json). It also tells
+    what the arm held, and --joints, --hold and --allow; a .csv does not."""
     request: Path | None = None
-    """MoveIt's motion plan request (.yaml) that was planned, to read the scene as it was: the base
-    may stand where the request has it, and the arm holds what either has attached."""
+    """MoveIt's motion plan request (.yaml) that was planned. The base then stands where the request
+    has it, and the arm holds what request or scene has attached."""
     attach: Path | None = None
-    """JSON file with what the arm holds, as for planning, where the motion does not tell; the
+    """JSON file with what the arm holds, as for planning, if the motion does not tell. The
     controller knows its mass."""
     controller: str = "computed_torque"
     """computed_torque (the model's torques for the motion, and a spring and damper for errors), or
@@ -49,18 +49,18 @@ class ExecuteConfig(SceneOptions, ArmOptions):
     mass_error: float = 0.0
     """Share by which the arm is heavier than its model."""
     friction: float = 0.0
-    """Dry friction of each joint that the model does not have, N m."""
+    """Dry friction of each joint, unknown to the model, N m."""
     delay: float = 0.0
-    """Seconds from what is measured to the torque that answers it."""
+    """Seconds from a measurement to the torque that answers it."""
     payload: float = 0.0
-    """What the last link carries and the controller does not know, kg."""
+    """Mass that the last link carries, unknown to the controller, kg."""
     most_error: float = 0.5
-    """Of a joint, beyond which the motion has diverged, rad."""
+    """Error of a joint beyond which the motion has diverged, rad."""
     figure: Path | None = None
     """Where a picture of joint values, velocities, torques and errors goes (needs the viz
     extra)."""
     video: Path | None = None
-    """Where a film of the motion as it was goes, .gif or .mp4 (needs the video extra, and OpenGL:
+    """Where a film of the executed motion goes, .gif or .mp4 (needs the video extra, and OpenGL:
     where there is no display, MUJOCO_GL=egl)."""
 
 

@@ -59,15 +59,15 @@ class GenerateConfig(HoldingOptions):
     roadmaps and labels."""
 
     split: Split = "train"
-    """Which set; their problems never coincide."""
+    """Which set to draw; two sets never share a problem."""
     family: Family = "paper"
     """Kind of scenes: the paper's boxes, or structures that leave little room."""
     num_problems: int | None = None
-    """Problems; by default 3,000 for train, 100 for validation and 300 for test."""
+    """Number of problems; by default 3,000 for train, 100 for validation and 300 for test."""
     num_nodes: int | None = None
     """Nodes of the roadmaps; 0 for problems alone. By default 200, and 0 for test."""
     seed: int = 0
-    """Of the whole set."""
+    """Seed of the whole set."""
     out: Path | None = None
     """A folder of shards, or a file ending in .npz. By default data/ROBOT_SPLIT (test: .npz),
     for families other than the paper's data/ROBOT_FAMILY_SPLIT."""

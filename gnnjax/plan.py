@@ -113,8 +113,8 @@ def main(config: PlanConfig) -> int:
         assert motion.clearance is not None
         print(
             f"its rounded corners take the cost from {motion.cost_before:.3f} to {motion.cost:.3f} "
-            f"{unit}, and what is proven to be kept from {1e3 * clearance:.0f} to "
-            f"{1e3 * motion.clearance:.0f} mm"
+            f"{unit}; proven clearance: {1e3 * clearance:.0f} mm for the path, "
+            f"{1e3 * motion.clearance:.0f} mm for the curve"
         )
         if config.trajectory is not None:
             save_trajectory(planner.robot, motion, config.trajectory, config.dt)

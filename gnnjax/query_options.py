@@ -30,19 +30,20 @@ class QueryOptions(SceneOptions, HoldingOptions):
     """An arm, what stands around it, and where it is to go from where."""
 
     start: tuple[float, ...] | None = None
-    """Joint values, rad."""
+    """Joint values, rad (m for slides), in the order that `gnnjax.fit` prints."""
     goal: tuple[float, ...] | None = None
-    """Joint values, rad."""
+    """Joint values, rad (m for slides), in the order that `gnnjax.fit` prints."""
     goal_pose: tuple[float, float, float, float, float, float, float] | None = None
-    """In place of a goal: where a frame of the arm should be, x y z (m) and a quaternion w x y z,
+    """Instead of a goal: where a frame of the arm should be, x y z (m) and a quaternion w x y z,
     in the frame of the arm's base."""
     frame: str | None = None
-    """Of the goal pose: the site or body; by default the site "tool", or else the last body."""
+    """Site or body that should be at the goal pose; by default the site "tool", or else the last
+    body."""
     free: tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...] = ()
-    """Of the goal pose: its own axes along which the place is free (x y z), and about which the
-    turn is (rx ry rz; one of these, or all)."""
+    """Axes of the goal pose along which the position is free (x y z), and about which the rotation
+    is free (rx ry rz; one of these, or all)."""
     tolerance: tuple[float, float] = (1e-4, 1e-3)
-    """Of the goal pose: how far from it is near enough, m and rad."""
+    """How near to the goal pose is near enough, m and rad."""
     request: Path | None = None
     """MoveIt's motion plan request (.yaml), in place of start and goal."""
     seed: int = 0

@@ -50,7 +50,7 @@ class TrainConfig(ArmOptions):
     data: Path = Path("data/kuka_iiwa14_train")
     """Folder or .npz made by `python -m gnnjax.generate`."""
     num_roadmaps: int | None = None
-    """Learn from only the first so many."""
+    """Learn from only the first so many roadmaps."""
     robot: str = "kuka_iiwa14"
     """The arm of the problems."""
     out: Path = Path("runs/kuka_iiwa14")
@@ -58,22 +58,22 @@ class TrainConfig(ArmOptions):
     resume: bool = False
     """Go on from the last checkpoint in `out`; without one, start from the beginning."""
     seed: int = 0
-    """Of the weights, the order of the data and the walks."""
+    """Seed of the weights, the order of the data and the walks."""
 
     epochs: int = 24
     """Passes over the data."""
     batch_size: int = 16
-    """Roadmaps a step."""
+    """Roadmaps per step."""
     optimizer: Literal["adamw", "sgd"] = "adamw"
     """AdamW warms up and decays by a cosine; SGD has a constant rate."""
     learning_rate: float = 3e-3
     """Peak rate."""
     weight_decay: float = 1e-3
-    """Of all weights."""
+    """Decay of all weights."""
     max_walk: int = 10
     """Longest walk; its length is uniform from 1 to this."""
     every_step: bool = True
-    """Learn from every step of the walk, not from its last alone."""
+    """Learn from every step of the walk, not only from its last."""
     all_nodes: bool = True
     """Learn from every node of the roadmap, too, as if the walk began there."""
     temperature: float = 0.15
@@ -81,21 +81,24 @@ class TrainConfig(ArmOptions):
     validity_weight: float = 0.3
     """Weight of learning which edges are valid; 0 for no such head."""
     geometric_features: bool = True
-    """See `GuidanceNetwork`."""
+    """Let the network read configurations, edge lengths and distances to the goal directly, beside
+    the codes that it computes."""
     workspace_points: int = 12
-    """See `GuidanceNetwork`."""
+    """Points on the arm whose distances to the obstacles the network reads; 0 for none. Needs
+    --geometric-features and a --validity-weight above 0."""
     num_dof: int = 7
-    """See `GuidanceNetwork`."""
+    """Joints that the network is made for. An arm with fewer counts as having further joints fixed
+    at zero."""
     channels: int = 32
-    """See `GuidanceNetwork`."""
+    """Size of the codes that the network computes, a multiple of 4."""
     without: tuple[Part, ...] = ()
-    """Parts of the network to leave out, see `GuidanceNetwork`."""
+    """Parts of the network to leave out, for an ablation."""
 
     validate_every: int = 4
     """Epochs between validations, which plan, and checkpoints."""
     validation_problems: int = 100
-    """Problems to plan, drawn apart from all others, of the paper's family, also where the data are
-    of another; 0 to validate nothing."""
+    """Problems to plan, drawn apart from all others. They are of the paper's family, even if the
+    data are of another; 0 to validate nothing."""
     figure: Path | None = None
     """Where a picture of the training curves goes, at each checkpoint (needs the viz extra)."""
     cluster: ConnectedCluster = UNCONNECTED

@@ -53,19 +53,19 @@ class TrainMotionConfig(JointOptions):
     resume: bool = False
     """Go on from the last checkpoint in `out`; without one, start from the beginning."""
     seed: int = 0
-    """Of weights and data."""
+    """Seed of weights and data."""
     steps: int = 3000
-    """Batches."""
+    """Steps; each learns from one batch."""
     scenes: int = 16
-    """Scenes a batch."""
+    """Scenes per batch."""
     motions: int = 512
-    """Motions a scene."""
+    """Motions per scene."""
     learning_rate: float = 4e-3
     """Peak rate of AdamW, which warms up and decays by a cosine."""
     num_points: int = 12
-    """See `MotionNetwork`."""
+    """Points on the arm whose distances to the obstacles the network reads."""
     channels: int = 48
-    """See `MotionNetwork`."""
+    """Width of both hidden layers."""
     save_every: int = 100
     """Steps between checkpoints and log records, which validate."""
     figure: Path | None = None

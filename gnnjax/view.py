@@ -32,11 +32,11 @@ class ViewConfig(QueryOptions, PlannerOptions, MotionOptions):
     """File of the obstacles, as for planning; none to begin with by default. Start and goal are the
     arm's home by default."""
     frame: str | None = None
-    """Of the hand that is dragged, and of the goal pose: a site or body; by default the site
+    """Site or body that is dragged, and that should be at the goal pose; by default the site
     "tool", or else the last body."""
     free: tuple[Literal["x", "y", "z", "rx", "ry", "rz"], ...] = ()
-    """Of the hand that is dragged, and of the goal pose: its own axes along which the place is free
-    (x y z), and about which the turn is (rx ry rz; one of these, or all)."""
+    """Axes of the dragged hand and of the goal pose along which the position is free (x y z), and
+    about which the rotation is free (rx ry rz; one of these, or all)."""
     port: int = 8080
     """Where the page is served."""
     host: str = "127.0.0.1"

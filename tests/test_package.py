@@ -10,6 +10,8 @@ import pytest
 
 import gnnjax
 from gnnjax.__main__ import COMMANDS, main
+from gnnjax.arguments import parse_arguments
+from gnnjax.evaluate import EvaluateConfig
 
 ROOT = Path(__file__).parents[1]
 
@@ -26,6 +28,14 @@ def test_the_table_of_contents_is_complete():
     froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     imported = {a.name for n in froms if n.module.startswith("gnnjax.") for a in n.names}
     assert imported == set(gnnjax.__all__)
+
+
+def test_help_names_no_planner_that_commands_refuse(capsys):
+    with pytest.raises(SystemExit):
+        parse_arguments(EvaluateConfig, args=["--help"], prog="evaluate")
+    said = capsys.readouterr().out
+    assert "lazysp (lazy search" in said
+    assert "greedy (" not in said
 
 
 # Imports go down this list only.

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments import cluster_page
 from experiments.certificate_page import load_campaigns, page
 from experiments.conclusions import conclusions
 from experiments.readme import replace_section
@@ -42,6 +43,15 @@ def test_the_page_on_the_certificate_tells_of_what_is_refuted(tmp_path):
     assert f"**2 of {arms['all']['edges']:,} edges are refuted.**" in page(found)
     with pytest.raises(InputError, match=r"certify_campaign.json'; run python -m experiments"):
         load_campaigns(tmp_path)
+
+
+def test_what_many_machines_take_follows_from_the_plans_a_second_of_one(tmp_path):
+    results = load_results(Path("results/throughput.json"))
+    for row in results["rows"]:
+        row |= {"per_s": [200.0], "cores": [2.0]}
+    text = cluster_page.page("<!-- ten-million -->\n<!-- /ten-million -->", results, tmp_path)
+    assert "**200 plans a second**" in text
+    assert "Ten million take 781 s on 64 such machines, and 28 hours of CPU time" in text
 
 
 def test_a_text_without_the_comments_is_refused(tmp_path):

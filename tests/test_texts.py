@@ -42,6 +42,8 @@ def test_commands_are_the_lines_that_call_a_module():
 def test_options_of_slow_commands_are_read_and_no_more(tmp_path):
     run_command(["gnnjax.train_motion", "--out", str(tmp_path / "run")])
     assert not (tmp_path / "run").exists()
+    run_command(["gnnjax.generate", "--split", "train", "--out", str(tmp_path / "run")])
+    assert not (tmp_path / "run").exists()
     with pytest.raises(InputError, match="there is no --no-such-option 1"):
         run_command(["gnnjax.train_motion", "--no-such-option", "1"])
 

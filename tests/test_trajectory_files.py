@@ -227,8 +227,8 @@ def test_the_command_writes_a_motion_from_start_to_goal(tiny_path, tmp_path, cap
     told = capsys.readouterr().out
     assert "motion of " in told
     costs = " to ".join(f"{found[name]:.3f}" for name in ("cost_before", "cost"))
-    kept = " to ".join(f"{1e3 * found[name]:.0f}" for name in ("clearance_before", "clearance"))
-    assert f"the cost from {costs} rad, and what is proven to be kept from {kept} mm" in told
+    path, curve = (f"{1e3 * found[name]:.0f} mm" for name in ("clearance_before", "clearance"))
+    assert f"the cost from {costs} rad; proven clearance: {path} for the path, {curve} for" in told
 
 
 def test_the_command_says_why_there_is_no_motion(tiny_path, tmp_path, capsys):

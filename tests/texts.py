@@ -149,7 +149,7 @@ def run_command(words: list[str]) -> None:
     warnings.filterwarnings("ignore", "'gnnjax", RuntimeWarning)
     if is_slow(words):
         # What follows the parsing of the options is left out.
-        stop = mock.patch("gnnjax.errors.run_command", lambda main, *_: main())
+        stop = mock.patch("gnnjax.errors.run_command", lambda main, *_, **__: main())
         parsed = mock.patch("tyro.cli", lambda config, **how: _parse(config, arguments))
         with stop, parsed, contextlib.suppress(_Parsed):
             runpy.run_module(module, run_name="__main__", alter_sys=True)

@@ -51,7 +51,10 @@ _USED_BY = {
     "simplify": _OMPL,
 }
 
-_PLANNER_HELP = "How a path is found: " + "; ".join(f"{n} ({what})" for n, what in PLANNERS.items())
+# No command can make `greedy`, which needs a scorer.
+_PLANNER_HELP = "How a path is found: " + "; ".join(
+    f"{name} ({what})" for name, what in PLANNERS.items() if name != "greedy"
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -60,38 +63,42 @@ class PlannerOptions:
 
     planner: Annotated[str, tyro.conf.arg(help=_PLANNER_HELP)] = "guided"
     num_nodes: int = 200
-    """Nodes of a roadmap, start and goal included; of the first one, for guided, where checks are
-    dear. Like max_roadmaps not for OMPL's planners."""
+    """Nodes per roadmap, start and goal included; for guided, of the first roadmap. guided uses
+    roadmaps only with --check-cost above 10, --sampled or --no-shorten; OMPL's planners do not use
+    this."""
     max_roadmaps: int = DEFAULT_MAX_ROADMAPS
-    """Roadmaps to try before giving up; 1 is the paper's way."""
+    """Roadmaps to try before giving up; 1 is the paper's way. Used where --num-nodes is; guided
+    tries at most four per step of --effort."""
     effort: int = 1
-    """For guided alone: how much is tried before giving up, in steps of 64 rounds of two trees;
-    where checks are dear, four roadmaps (up to max_roadmaps), with 40 rounds of search on each, and
-    100 rounds of trees with fewer branches."""
+    """How much to try before giving up (guided only). Each step is 64 rounds of growing two trees;
+    with --check-cost above 10, it is four roadmaps (up to --max-roadmaps) with 40 rounds of search
+    on each, then 100 rounds of trees with fewer branches."""
     weights: Path | None = None
-    """File of weights, folder of a checkpoint, or name of shipped weights; by default those for the
-    planner. For guided: of a motion network (motion is shipped); by default the distance field of
-    the scene is the guide, which has none."""
+    """File of weights, folder of a checkpoint, or name of shipped weights. Default: none for guided
+    (distance field); the shipped ones for gnn and gnn_lazy. guided takes those of a motion network
+    (motion is shipped)."""
     shorten: bool = True
-    """Shorten paths before they are checked; for guided alone."""
+    """Shorten paths (guided only): by tested shortcuts, or with dear checks in the guide's estimate
+    before checking. Without it, guided searches roadmaps."""
     sampled: bool = False
-    """Search roadmaps of checked nodes, drawn for each query like those of the other planners of
-    roadmaps; for guided alone."""
+    """Draw a roadmap of checked nodes for each query, as the other roadmap planners do, and search
+    it (guided only)."""
     simplify: bool = False
-    """Let OMPL simplify the path that its planner found; not for our own planners."""
+    """Let OMPL simplify the path that its planner found (OMPL's planners only)."""
     checker: str = "fused"
-    """Collision backend: fused, mjx (of the spheres around the arm's links alone), or, for the
-    planners of OMPL alone, mujoco, which is MuJoCo's C engine."""
+    """Collision backend: fused, mjx (only the spheres around the arm's links) or mujoco (MuJoCo's C
+    engine; OMPL's planners only)."""
     resolution: float = EDGE_RESOLUTION
-    """Largest distance of neighbouring configurations tested along an edge, rad (or m)."""
+    """Largest distance between neighbouring configurations tested along an edge, rad (or m)."""
     margin: float = 0.0
     """Clearance to keep from obstacles, m; certified like the path itself."""
     check_cost: float = 1.0
-    """Microseconds that a configuration check takes where the plans are used; for guided alone. Up
-    to 10, paths are found by growing trees, and shortened by testing shortcuts; beyond that on
-    roadmaps, which ask for fewer checks, and by the guide alone."""
+    """Microseconds that a configuration check takes where the plans are used (guided only). Up to
+    10, guided grows trees and shortens paths by tested shortcuts. Above 10, it uses roadmaps and
+    the guide, which need fewer checks."""
     time_limit: float = np.inf
-    """Seconds after which no further round is begun, or, but for guided, no further roadmap."""
+    """Seconds of search that a query may take. Checked between rounds (guided) or roadmaps
+    (others), so one of these may exceed it."""
 
     @property
     def is_classical(self) -> bool:
