@@ -80,12 +80,14 @@ def measurement(config: GuidesConfig) -> Measurement:
         "family_problems": config.family_problems,
     }
     head = {"settings": settings | {"seed": config.seeds[0], "scenes": config.scenes}}
-    return Measurement(_rows(config, folder_of(config.runs, "guides", settings)), head)
+    return Measurement(_rows(config, settings), head)
 
 
-def _rows(config: GuidesConfig, folder: Path) -> Iterator[Row]:
+def _rows(config: GuidesConfig, settings: Row) -> Iterator[Row]:
     robot = load_robot(config.robot or "kuka_iiwa14")
-    sets, problems = _all_problems(config, robot)
+    files = _files(config)
+    folder = folder_of(config.runs, "guides", settings, robot.path, *files.values())
+    sets, problems = _all_problems(config, robot, files)
     guides = {name: KINDS[name].make(robot) for name in config.guides}
 
     def ask_all() -> dict[str, dict[str, Row]]:
@@ -117,14 +119,23 @@ def _rows(config: GuidesConfig, folder: Path) -> Iterator[Row]:
             yield {"set": name, "guide": guide, "edges": asked[guide][name], **summaries}
 
 
-def _all_problems(config: GuidesConfig, robot: Robot) -> tuple[dict[str, range], Problem]:
-    """Which problems are of which set, and all of them with room for equally many boxes."""
-    named, parts = config.robot or "kuka_iiwa14", {}
-    path = problem_set(config, named, num_problems=config.num_problems)
-    parts["test"] = load_problems(path, robot).take(slice(config.num_problems)).problems
+def _files(config: GuidesConfig) -> dict[str, Path]:
+    """The file of each set."""
+    find = functools.partial(problem_set, config, config.robot or "kuka_iiwa14")
+    files = {"test": find(num_problems=config.num_problems)}
     for family in config.families:
-        path = problem_set(config, named, family=family, num_problems=config.family_problems)
-        parts[family] = load_problems(path, robot).take(slice(config.family_problems)).problems
+        files[family] = find(family=family, num_problems=config.family_problems)
+    return files
+
+
+def _all_problems(
+    config: GuidesConfig, robot: Robot, files: dict[str, Path]
+) -> tuple[dict[str, range], Problem]:
+    """Which problems are of which set, and all of them with room for equally many boxes."""
+    parts = {}
+    for name, path in files.items():
+        wanted = config.num_problems if name == "test" else config.family_problems
+        parts[name] = load_problems(path, robot).take(slice(wanted)).problems
     most = max(part.scene.mask.shape[1] for part in parts.values())
     padded = [part._replace(scene=pad_scene(part.scene, most)) for part in parts.values()]
     last = np.cumsum([len(part.start) for part in padded]).tolist()

@@ -124,7 +124,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     # Killed in the middle of one case, before the results of the others were written.
     times = (folder / "results" / "figure5.json").read_text()
     (folder / "results" / "figure5.json").unlink()
-    cut = next(path for path in (folder / "runs").iterdir() if "lazysp_30" in path.name)
+    cut = next((folder / "runs").rglob("*lazysp_30*.json"))
     half = json.loads(cut.read_text())
     half |= {"problems": half["problems"][:1], "complete": False, "summary": {}}
     cut.write_text(json.dumps(half))
@@ -403,6 +403,24 @@ def test_an_option_is_named_where_it_is_not_the_default(tmp_path):
     assert measure.slug(case) == "set_guided_200_shorten-False_sampled-True"
     parsed = tyro.cli(EvaluateConfig, args=shlex.split(measure.command(case))[3:])
     assert (parsed.planner, parsed.shorten, parsed.sampled) == ("guided", False, True)
+
+
+def test_what_an_older_planner_has_made_is_not_read(tmp_path, monkeypatch):
+    asked = []
+
+    def evaluate_once(case, planner):
+        asked.append(case.json)
+        return {"problems": []}
+
+    monkeypatch.setattr(measure, "evaluate", evaluate_once)
+    monkeypatch.setattr(measure, "_planner", lambda settings: None)
+    config = ExperimentConfig(runs=tmp_path, seeds=(0,))
+    case = own_case(tmp_path / "set.npz", "kuka_iiwa14", "lazysp", 200)
+    for code in ("1" * 64, "1" * 64, "2" * 64):
+        monkeypatch.setattr(measure, "code_digest", lambda code=code: code)
+        measure.measure_problems(config, case)
+    assert asked[0] == asked[1] == tmp_path / "11111111" / "set_lazysp_200_seed0.json"
+    assert asked[2] == tmp_path / "22222222" / "set_lazysp_200_seed0.json"
 
 
 def test_a_set_with_fewer_problems_than_are_wanted_is_refused(tiny_path, tmp_path):

@@ -180,6 +180,22 @@ def test_quick_forms_write_results_and_go_on(tiny_path, tmp_path, monkeypatch, n
     assert not made  # all was kept
 
 
+def test_blocks_are_of_the_very_arm_and_problems(tiny_path, tmp_path, monkeypatch):
+    told = []
+
+    def folder_of(runs, name, settings, *files):
+        told.extend(files)
+        raise InputError("enough")
+
+    monkeypatch.setattr("experiments.guides.folder_of", folder_of)
+    folders = {key: tmp_path / key for key in ("data", "runs", "results")}
+    config = GuidesConfig(quick=True, robot=str(tiny_path), **folders)
+    with pytest.raises(InputError, match="enough"):
+        run(EXPERIMENTS["guides"], config)
+    sets = [tmp_path / "data" / f"{name}_test_quick.npz" for name in ("tiny", "tiny_bin")]
+    assert told == [tiny_path, *sets]
+
+
 def test_a_guide_that_is_none_is_refused():
     config = GuidesConfig(guides=("oracel",), results=Path("nowhere"))
     with pytest.raises(InputError, match=r"guides are \('oracel',\); choose some of \['length'"):
