@@ -187,13 +187,15 @@ def test_blocks_are_of_the_very_arm_and_problems(tiny_path, tmp_path, monkeypatc
         told.extend(files)
         raise InputError("enough")
 
+    def problem_set(config, robot, *, family="paper", num_problems):
+        return tmp_path / f"{family}_{num_problems}.npz"
+
     monkeypatch.setattr("experiments.guides.folder_of", folder_of)
-    folders = {key: tmp_path / key for key in ("data", "runs", "results")}
-    config = GuidesConfig(quick=True, robot=str(tiny_path), **folders)
+    monkeypatch.setattr("experiments.guides.problem_set", problem_set)
+    config = GuidesConfig(quick=True, robot=str(tiny_path), results=tmp_path)
     with pytest.raises(InputError, match="enough"):
         run(EXPERIMENTS["guides"], config)
-    sets = [tmp_path / "data" / f"{name}_test_quick.npz" for name in ("tiny", "tiny_bin")]
-    assert told == [tiny_path, *sets]
+    assert told == [tiny_path, tmp_path / "paper_3.npz", tmp_path / "bin_2.npz"]
 
 
 def test_a_guide_that_is_none_is_refused():
