@@ -19,7 +19,7 @@ from experiments.bounds import (
     per_verification,
     verification_table,
 )
-from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, own_case
+from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, nodes_of, own_case
 from experiments.hard import strata_table
 from experiments.measure import ExperimentConfig
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
@@ -70,7 +70,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
         before = config.json.exists() and json.loads(config.json.read_text())["complete"]
         planned.extend([] if before else [config.json.name])
         if not config.is_classical:
-            planner = stand_in(config.num_nodes)
+            planner = stand_in(30)
         return evaluate(config, planner)
 
     monkeypatch.setattr(measure, "evaluate", counted)
@@ -304,6 +304,41 @@ def test_other_files_are_no_results(tmp_path):
     (tmp_path / "old.json").write_text('{"format": 0}')
     with pytest.raises(InputError, match="format 0, this version reads 1"):
         load_results(tmp_path / "old.json")
+
+
+def test_a_planner_that_searches_no_roadmaps_is_one_for_all_sizes(tmp_path):
+    def case(planner, num_nodes):
+        return own_case(tmp_path / "set.npz", "kuka_iiwa14", planner, num_nodes)
+
+    for planner in ("guided", "guided@0.02"):
+        assert case(planner, 200) == case(planner, 1000)
+        assert nodes_of(case(planner, 1000)) is None
+    for planner in (*{*GUIDED, *OURS} - {"guided"}, "gnn_paper"):
+        assert nodes_of(case(planner, 1000)) == 1000
+    assert nodes_of(case("ompl:rrt_connect@simplified", 1000)) is None
+
+
+def test_sizes_that_files_of_earlier_versions_tell_are_left_out(tmp_path):
+    rows = [
+        {"set": name, "planner": planner, "num_nodes": size, "cost": cost}
+        for name in ("test", "public")
+        for planner in ("guided", "guided_dear")
+        for size, cost in ((200, 1.0), (1000, 2.0))
+    ]
+    path = tmp_path / "figure5.json"
+    path.write_text(json.dumps({"format": 1, "experiment": "figure5", "rows": rows}))
+    found = load_results(path)["rows"]
+    kept = [row for row in found if row["planner"] == "guided"]
+    assert [(row["set"], row["num_nodes"], row["cost"]) for row in kept] == [
+        ("test", None, 1.0),
+        ("public", None, 1.0),
+    ]
+    assert [row for row in found if row["planner"] != "guided"] == [
+        row for row in rows if row["planner"] != "guided"
+    ]
+    # Set beside the roadmaps of others, a planner has a row for each size of theirs.
+    path.write_text(json.dumps({"format": 1, "experiment": "failures", "rows": rows}))
+    assert load_results(path)["rows"] == rows
 
 
 def test_strata_split_by_upper_ends():
