@@ -38,6 +38,14 @@ def own_case(
     return case if nodes_of(sized) is None else sized
 
 
+def first_roadmap_case(
+    problems: Path, robot: str, planner: Any, num_nodes: int, num_problems: int, **changes: Any
+) -> EvaluateConfig:
+    """The same with one roadmap, no second try, and other changes."""
+    case = own_case(problems, robot, planner, num_nodes, num_problems)
+    return dataclasses.replace(case, max_roadmaps=1, **changes)
+
+
 def nodes_of(case: EvaluateConfig) -> int | None:
     """How many nodes the roadmaps have that a planner searches; None for one that searches none, as
     OMPL's do, and the default one where checks are cheap."""

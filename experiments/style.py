@@ -1,11 +1,13 @@
-"""Names and colors of the planners, the same in all figures and tables, and bars of them."""
+"""Names and colors of the planners, the same in all figures and tables, and bars and lines of
+them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogFormatter
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter, LogLocator, NullLocator
 
 from experiments.statistics import BAND
 
@@ -95,6 +97,41 @@ def draw_bars(
             error_kw={"elinewidth": 0.8},
         )
     axes.set_xticks(range(len(groups)), groups)
+
+
+def draw_lines(
+    figure: Figure,
+    rows: Sequence[dict[str, Any]],
+    names: Sequence[str],
+    panels: Sequence[tuple[str, str, float, bool]],
+) -> None:
+    """Draws means with their 95 % intervals, a line a row, of all problems and of the hard ones.
+
+    Args:
+        figure: whose panels are side by side.
+        rows: of the results, the first at the top.
+        names: of the lines.
+        panels: of each its quantity, title, factor, and whether it is logarithmic.
+    """
+    axes, at = figure.subplots(1, len(panels), sharey=True), -np.arange(len(rows))
+    for panel, (quantity, title, scale, logarithmic) in zip(axes, panels, strict=True):
+        for stratum, color in {"all": "tab:blue", "hard": "tab:red"}.items():
+            parts = [row["summary"][stratum][quantity] for row in rows]
+            there = [i for i, part in enumerate(parts) if part is not None]
+            mean, low, high = (np.array([scale * parts[i][key] for i in there]) for key in BAND)
+            spread = np.maximum([mean - low, high - mean], 0.0)
+            panel.errorbar(
+                mean, at[there], xerr=spread, fmt=".", color=color, capsize=2, label=stratum
+            )
+        panel.set(title=title)
+        panel.grid(axis="x", alpha=0.3)
+        if logarithmic:
+            panel.set_xscale("log")
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            panel.xaxis.set_minor_locator(NullLocator())
+    axes[0].set_yticks(at, names)
+    axes[0].legend()
 
 
 def make_logarithmic(axes: Axes, which: str = "y") -> None:
