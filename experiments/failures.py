@@ -32,7 +32,7 @@ from experiments.measure import ExperimentConfig, command, measure_problems, pro
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import Rows, column, solved_first, statistics
-from experiments.style import COLORS, label
+from experiments.style import draw_bars, label
 from experiments.tables import interval, markdown, span
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
@@ -147,21 +147,13 @@ def draw(results: Row) -> Figure:
     """Draws bars with intervals, a group a roadmap size."""
     rows = results["rows"]
     figure = Figure(figsize=(12, 3.6), dpi=110, layout="constrained")
-    sizes, width = sorted({row["num_nodes"] for row in rows}), 0.8 / len(PLANNERS)
+    found = {(row["planner"], row["num_nodes"]): row for row in rows}
+    sizes = sorted({size for _, size in found})
+    planners = [planner for planner in PLANNERS if (planner, sizes[0]) in found]
     for place, (name, title, scale) in enumerate(PANELS, start=1):
         axes = figure.add_subplot(1, 3, place)
-        for offset, planner in enumerate(PLANNERS):
-            chosen = [row for row in rows if row["planner"] == planner and row[name]]
-            shift = width * (offset - (len(PLANNERS) - 1) / 2)
-            at = [sizes.index(row["num_nodes"]) + shift for row in chosen]
-            mean = np.array([scale * row[name]["mean"] for row in chosen])
-            ends = [[scale * row[name][end] for row in chosen] for end in ("low", "high")]
-            error = np.maximum([mean - ends[0], ends[1] - mean], 0)
-            color = COLORS[planner]
-            axes.bar(
-                at, mean, 0.9 * width, yerr=error, color=color, label=label(planner), capsize=2
-            )
-        axes.set_xticks(range(len(sizes)), [f"N = {n}" for n in sizes])
+        values = {planner: [found[planner, n][name] for n in sizes] for planner in planners}
+        draw_bars(axes, values, [f"N = {n}" for n in sizes], scale)
         axes.set_title(title)
         if name == "cost_ratio":
             axes.set_ylim(bottom=0.9)

@@ -33,7 +33,7 @@ from experiments.measure import ExperimentConfig, problem_set
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import summarize_seeds
-from experiments.style import make_logarithmic
+from experiments.style import draw_bars, make_logarithmic
 from experiments.tables import cell, listing, made_on, markdown, span
 from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
@@ -164,23 +164,21 @@ def draw(results: Row) -> Figure:
     panels = figure.subplots(1, 3)
     sets = list(dict.fromkeys(row["set"] for row in results["rows"]))
     guides = list(dict.fromkeys(row["guide"] for row in results["rows"]))
+    looks = {guide: (KINDS[guide].color, KINDS[guide].title) for guide in guides}
     for axes, (part, quantity, title) in zip(panels, PANELS, strict=True):
-        width = 0.84 / len(guides)
-        for number, guide in enumerate(guides):
+        heights = {}
+        for guide in guides:
             rows = of_guide(results, guide)
-            at = [i + width * (number - (len(guides) - 1) / 2) for i in range(len(sets))]
             if part == "edges":
                 # The oracle's is none, which no logarithmic axis shows.
-                height = [max(1 - rows[name]["edges"][quantity], 1e-6) for name in sets]
+                heights[guide] = [max(1 - rows[name]["edges"][quantity], 1e-6) for name in sets]
             elif quantity == "total_time_s":
-                height = [1e3 * _hard(rows[name], part, quantity, "median") for name in sets]
+                heights[guide] = [1e3 * _hard(rows[n], part, quantity, "median") for n in sets]
             else:
-                height = [_hard(rows[name], part, quantity, "mean") for name in sets]
-            kind = KINDS[guide]
-            axes.bar(at, height, 0.94 * width, color=kind.color, label=kind.title)
+                heights[guide] = [_hard(rows[name], part, quantity, "mean") for name in sets]
+        draw_bars(axes, heights, sets, looks=looks)
         axes.set(title=title)
         make_logarithmic(axes)
-        axes.set_xticks(range(len(sets)), sets)
     panels[0].set_ylim(1e-4, 1)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
     figure.suptitle("Problems whose straight line is blocked")

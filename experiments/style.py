@@ -69,31 +69,36 @@ def label(planner: str) -> str:
 
 def draw_bars(
     axes: Axes,
-    values: Mapping[str, Sequence[dict[str, Any] | None]],
+    values: Mapping[str, Sequence[dict[str, Any] | float | None]],
     groups: Sequence[str],
     scale: float = 1.0,
+    looks: Mapping[str, tuple[str, str]] | None = None,
 ) -> None:
     """Draws means with their 95 % intervals: a group of bars a place on x, a bar a planner.
 
     Args:
         axes: where.
-        values: of each planner, the statistics for each group; None leaves a gap.
+        values: of each planner, the statistics for each group, or a number that has no interval;
+            None leaves a gap.
         groups: names of the groups.
         scale: factor of all numbers.
+        looks: colors and names of what is no planner.
     """
     width = 0.84 / len(values)
     for number, (planner, statistics) in enumerate(values.items()):
         there = [(group, v) for group, v in enumerate(statistics) if v is not None]
         at = [group + width * (number - (len(values) - 1) / 2) for group, _ in there]
-        mean, low, high = (scale * np.array([v[k] for _, v in there]) for k in BAND)
+        bands = [[v[k] for k in BAND] if isinstance(v, dict) else [v] * 3 for _, v in there]
+        mean, low, high = scale * np.array(bands, float).reshape(-1, 3).T
         error = np.maximum([mean - low, high - mean], 0)  # rounding
+        color, name = (COLORS[planner], label(planner)) if looks is None else looks[planner]
         axes.bar(
             at,
             mean,
             0.94 * width,
-            yerr=error,
-            color=COLORS[planner],
-            label=label(planner),
+            yerr=error if (error > 0).any() else None,
+            color=color,
+            label=name,
             error_kw={"elinewidth": 0.8},
         )
     axes.set_xticks(range(len(groups)), groups)
