@@ -14,31 +14,27 @@ are networks early in their training, one training each. Intervals are over prob
 how much a network changes from one seed of its training to the next.
 """
 
-import dataclasses
+import functools
 import itertools
 from collections.abc import Iterator
-from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
 
-from experiments.cases import own_case
+from experiments.cases import first_roadmap_case
 from experiments.measure import difference, measure, problem_set
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
-from experiments.statistics import BAND
+from experiments.style import draw_lines
 from experiments.tables import DETAIL, both, interval, listing, markdown
+from experiments.training import command, trained
 from experiments.variants import (
     AblationConfig,
     full_network,
     num_weights,
-    trained,
     training,
     training_set,
     variants,
 )
-from experiments.variants import command as training_command
 from gnnjax.evaluate import EvaluateConfig
 from gnnjax.training.weights import read_metadata
 
@@ -54,11 +50,13 @@ def _rows(config: AblationConfig) -> Iterator[Row]:
     robot = config.robot or "kuka_iiwa14"
     path = problem_set(config, robot, num_problems=config.num_problems)
     cases: dict[str, EvaluateConfig] = {}
-
-    def case(planner: str, **changes: Any) -> EvaluateConfig:
-        made = own_case(path, robot, planner, config.num_nodes, config.num_problems)
-        return dataclasses.replace(made, max_roadmaps=1, **changes)
-
+    case = functools.partial(
+        first_roadmap_case,
+        path,
+        robot,
+        num_nodes=config.num_nodes,
+        num_problems=config.num_problems,
+    )
     chosen, others = variants(config), dict(_WITHOUT_NETWORK)
     if config.quick:  # compiling all of them takes minutes
         chosen = dict(itertools.islice(chosen.items(), 2))
@@ -70,7 +68,7 @@ def _rows(config: AblationConfig) -> Iterator[Row]:
         cases[name] = case("gnn", weights=weights)
         yield {
             "variant": name,
-            "training": training_command(made),
+            "training": command(made),
             "last_epoch": read_metadata(weights)["training"]["log"][-1],
             "num_weights": num_weights(weights),
             **measure(config, cases[name]),
@@ -95,26 +93,7 @@ def draw(results: Row) -> Figure:
     """Draws means with 95 % intervals, a line a variant."""
     rows = results["rows"]
     figure = Figure(figsize=(12, 1.6 + 0.28 * len(rows)), dpi=110, layout="constrained")
-    axes = figure.subplots(1, len(PANELS), sharey=True)
-    at = -np.arange(len(rows))
-    for panel, (name, title, scale, logarithmic) in zip(axes, PANELS, strict=True):
-        for stratum, color in {"all": "tab:blue", "hard": "tab:red"}.items():
-            parts = [row["summary"][stratum][name] for row in rows]
-            there = [i for i, part in enumerate(parts) if part is not None]
-            mean, low, high = (np.array([scale * parts[i][key] for i in there]) for key in BAND)
-            spread = np.maximum([mean - low, high - mean], 0.0)
-            panel.errorbar(
-                mean, at[there], xerr=spread, fmt=".", color=color, capsize=2, label=stratum
-            )
-        panel.set(title=title)
-        panel.grid(axis="x", alpha=0.3)
-        if logarithmic:
-            panel.set_xscale("log")
-            panel.xaxis.set_major_formatter("{x:g}")
-            panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            panel.xaxis.set_minor_locator(NullLocator())
-    axes[0].set_yticks(at, [_line_name(row) for row in rows])
-    axes[0].legend()
+    draw_lines(figure, rows, [_line_name(row) for row in rows], PANELS)
     figure.suptitle(
         "Means with 95 % intervals; *: edge checks differ from those of the full network"
     )

@@ -18,7 +18,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from experiments import training
-from experiments.cases import classical_case, own_case
+from experiments.cases import classical_case, nodes_of, own_case
 from experiments.measure import ExperimentConfig, measure, measure_problems, problem_set
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
@@ -64,8 +64,7 @@ def _rows(config: ArmsConfig) -> Iterator[Row]:
         named = cases(config, arm)
         own = measure_problems(config, named["guided_own"])
         for planner, case in named.items():
-            row = {"arm": Path(arm).stem, "planner": planner}
-            row["num_nodes"] = None if planner.startswith("ompl:") else config.num_nodes
+            row = {"arm": Path(arm).stem, "planner": planner, "num_nodes": nodes_of(case)}
             found = measure_problems(config, case)
             ratios = {name: ratio_of_means(found, own, name) for name in COMPARED}
             yield row | measure(config, case) | {"to_own": ratios}

@@ -1,10 +1,9 @@
 """Rows of planners, a scene each and one for all of them: their figure, and their table."""
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.results import Row
-from experiments.style import COLORS, label
+from experiments.style import draw_bars, label
 from experiments.tables import cell, made_on, markdown
 
 OWN = "guided"
@@ -25,19 +24,21 @@ def draw(results: Row) -> Figure:
     panels = figure.subplots(1, 2)
     scenes = list(of_planner(results, OWN))
     planners = [name for name in (OWN, *RIVALS, *PUBLISHED) if of_planner(results, name)]
-    width = 0.84 / len(planners)
-    for number, planner in enumerate(planners):
-        rows = of_planner(results, planner)
-        at = np.arange(len(scenes)) + width * (number - (len(planners) - 1) / 2)
-        style = {"color": COLORS[planner], "label": label(planner)}
-        if planner not in PUBLISHED:
-            shares = [100 * rows[scene]["success_of_all"] for scene in scenes]
-            panels[0].bar(at, shares, 0.94 * width, **style)
-        costs = [rows[scene]["cost"] for scene in scenes]
-        heights = [np.nan if cost is None else cost["mean"] for cost in costs]
-        panels[1].bar(at, heights, 0.94 * width, **style)
+    rows = {planner: of_planner(results, planner) for planner in planners}
+    shares = {
+        planner: [own[scene].get("success_of_all") for scene in scenes]
+        for planner, own in rows.items()
+    }
+    costs = {
+        planner: [cost and cost["mean"] for cost in (own[scene]["cost"] for scene in scenes)]
+        for planner, own in rows.items()
+    }
+    draw_bars(panels[0], shares, scenes, 100)
+    draw_bars(panels[1], costs, scenes)
     for axes, title in zip(panels, ("solved of all, %", "cost of solved problems"), strict=True):
-        axes.set_xticks(range(len(scenes)), scenes, rotation=30, ha="right")
+        axes.tick_params(axis="x", rotation=30)
+        for name in axes.get_xticklabels():
+            name.set_ha("right")
         axes.set_title(title)
     figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure

@@ -81,7 +81,9 @@ def measurement(config: CalibrateFieldConfig) -> Measurement:
     settings = json.loads(json.dumps(settings))
     head = {"settings": settings | {"seed": config.seeds[0]}, "calibration": list(CALIBRATION)}
     head |= {"default": {"cells": CELLS, "spacing": SPACING}}
-    return Measurement(_rows(config, folder_of(config.runs, "calibrate_field", settings)), head)
+    arms = [load_robot(named).path for named in (*config.robots, *config.plan_robots)]
+    folder = folder_of(config.runs, "calibrate_field", settings, *arms)
+    return Measurement(_rows(config, folder), head)
 
 
 def _rows(config: CalibrateFieldConfig, folder: Path) -> Iterator[Row]:

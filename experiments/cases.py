@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gnnjax.evaluate import EvaluateConfig
+from gnnjax.planning.options import CHEAP
 
 OURS = ("guided", "gnn", "gnn_lazy", "distance", "oracle", "prm", "lazysp")
 DEAR = 1000.0  # us; a check that costs so much is not asked for where a guide can tell
@@ -30,15 +31,34 @@ GUIDED = ("guided", "guided_dear", "guided_roadmap", "guided_sampled")
 def own_case(
     problems: Path, robot: str, planner: Any, num_nodes: int, num_problems: int | None = None
 ) -> EvaluateConfig:
-    """A planner on roadmaps of a size, or a variant of one."""
+    """A planner on roadmaps of a size, or a variant of one. One that searches no roadmaps has the
+    same case for all sizes, so that it is measured once."""
     case = classical_case(problems, robot, planner, num_problems)
-    return dataclasses.replace(case, num_nodes=num_nodes)
+    sized = dataclasses.replace(case, num_nodes=num_nodes)
+    return case if nodes_of(sized) is None else sized
+
+
+def first_roadmap_case(
+    problems: Path, robot: str, planner: Any, num_nodes: int, num_problems: int, **changes: Any
+) -> EvaluateConfig:
+    """The same with one roadmap, no second try, and other changes."""
+    case = own_case(problems, robot, planner, num_nodes, num_problems)
+    return dataclasses.replace(case, max_roadmaps=1, **changes)
+
+
+def nodes_of(case: EvaluateConfig) -> int | None:
+    """How many nodes the roadmaps have that a planner searches; None for one that searches none, as
+    OMPL's do, and the default one where checks are cheap."""
+    grows_trees = case.planner == "guided" and case.shorten and not case.sampled
+    if case.is_classical or (grows_trees and case.check_cost <= CHEAP):
+        return None
+    return case.num_nodes
 
 
 def classical_case(
     problems: Path, robot: str, planner: Any, num_problems: int | None = None
 ) -> EvaluateConfig:
-    """A planner of OMPL, which has no roadmap size, or a variant of one."""
+    """A planner that searches no roadmaps, which has no size, or a variant of one."""
     planner, options = _VARIANTS.get(planner, (planner, {}))
     return EvaluateConfig(
         problems=problems,

@@ -1,13 +1,14 @@
 """What was looked at of certified motions, arm by arm: writes docs/certificate.md.
 
 Called by `experiments.report`. Numbers come from `results/certify_campaign.json` and
-`results/certify_curves.json`.
+`results/certify_curves.json`, those of an earlier certificate from `published.py`.
 """
 
 import json
 from pathlib import Path
 from typing import Any
 
+from experiments.published import BY_REACH_ALONE
 from experiments.tables import markdown
 from gnnjax.errors import InputError
 
@@ -63,6 +64,7 @@ def page(campaigns: dict[str, Any]) -> str:
         piece_ms=of_curves["cpu_ms_a_piece"],
         processor=edges["machine"]["processor"],
         version=edges["machine"]["gnnjax"],
+        **{f"earlier_{name}": number for name, number in BY_REACH_ALONE.items()},
     )
 
 

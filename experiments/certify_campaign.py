@@ -8,40 +8,42 @@ and clouds, and looked at by MuJoCo's C engine every 0.001 rad (`judge.py`). A f
 an obstacle is pushed towards the arm, or the motion made longer, for as long as the certificate
 holds, by bisection.
 
-The engine reads the MJCF itself, not what the package made of it. Results are written as they come;
-the same command goes on where it was cut off, and one with more edges goes on from there.
+The engine reads the MJCF itself, not what the package made of it. Results are written as they come
+(`campaign.py`); the same command goes on where it was cut off, and one with more edges, or arms,
+goes on from there, as long as the code is the same.
 """
 
 import dataclasses
 import functools
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
+from experiments.campaign import (
+    SHIPPED,
+    Block,
+    enter,
+    folder_of_campaign,
+    how_near,
+    run_blocks,
+    seed_of,
+    told,
+)
 from experiments.campaign_edges import Edges, draw_edges, draw_points
 from experiments.grazing import lengthen, push
-from experiments.judge import NEAR, Arm, Judge, Scan
+from experiments.judge import Arm, Judge
 from experiments.random_arm import BASE, distorted_arm, random_arm
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.clearances import is_self_free
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import atomic_write, check_target
-from gnnjax.measure.machine import describe_machine
 from gnnjax.scene.shapes import Shape, box, capsule, cylinder
 
-SHIPPED = ("kuka_iiwa14", "kinova_gen3", "franka_panda")
 _HOLDERS = {"kuka_iiwa14": "link_7", "kinova_gen3": "bracelet_link", "franka_panda": "hand"}
 _BLOCK = 2_000  # edges between two writes of the results
-# m; smaller overlaps are counted, and refute nothing: what single precision rounds off of a scene,
-# and of a half-space, whose box has its middle 50 m away.
-_NOISE, _NOISE_OF_HALF_SPACES = 1e-6, 1e-5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,15 +60,16 @@ class CampaignConfig:
     """Largest distance of neighbouring configurations of the scan, rad (or m)."""
     seed: int = 1
     """Of arms, scenes and edges."""
-    runs: Path = Path("runs/certify_campaign")
-    """Folder of the arms' MJCF and of what was found edge by edge."""
+    runs: Path = Path("runs")
+    """Where the folder goes of the arms' MJCF and of what was found edge by edge."""
     json: Path = Path("results/certify_campaign.json")
     """Where the summary goes."""
 
 
-def make_arms(config: CampaignConfig) -> dict[str, Arm]:
+def make_arms(config: CampaignConfig, folder: Path) -> dict[str, Arm]:
     """The shipped arms; with something in the hand; distorted; and random ones. Of the last two
-    those that are free of self-collision often enough."""
+    those that are free of self-collision often enough; their MJCF goes into the folder."""
+    often_free = functools.partial(_often_free, folder, config.seed)
     arms = {name: Arm(load_robot(name)) for name in SHIPPED}
     for name, holder in _HOLDERS.items():
         held = _held(np.random.default_rng((config.seed, 1, len(arms))))
@@ -75,10 +78,8 @@ def make_arms(config: CampaignConfig) -> dict[str, Arm]:
     for name in SHIPPED:
         text = functools.partial(distorted_arm, path=arms[name].robot.path)
         base = arms[name].robot.bodies[0].name
-        arms |= _often_free(config, f"{name}_distorted", text, config.distorted, base, 0.9)
-    return arms | _often_free(
-        config, "random", random_arm_of_any_size, config.random_arms, BASE, 0.7
-    )
+        arms |= often_free(f"{name}_distorted", text, config.distorted, base, 0.9)
+    return arms | often_free("random", random_arm_of_any_size, config.random_arms, BASE, 0.7)
 
 
 def random_arm_of_any_size(rng: np.random.Generator) -> str:
@@ -96,7 +97,8 @@ def _held(rng: np.random.Generator) -> list[Shape]:
 
 
 def _often_free(
-    config: CampaignConfig,
+    folder: Path,
+    seed: int,
     name: str,
     text: Callable[[np.random.Generator], str],
     wanted: int,
@@ -105,8 +107,8 @@ def _often_free(
 ) -> dict[str, Arm]:
     found, number = {}, 0
     while len(found) < wanted:
-        rng = np.random.default_rng((config.seed, number))
-        path = config.runs / f"{name}_{config.seed}_{number}.xml"
+        rng = np.random.default_rng((seed, number))
+        path = folder / f"{name}_{seed}_{number}.xml"
         made = text(rng)
         atomic_write(path, lambda file, made=made: file.write_text(made) and None)
         robot = load_robot(path.resolve())
@@ -158,34 +160,8 @@ def _look(judge: Judge, edges: Edges, i: int, kind: str, step: float, found: dic
     enter(found, seen, kind, places | {"cloud": pose and [x.tolist() for x in pose]})
 
 
-def told(shapes: list[Shape]) -> list[dict]:
-    """Obstacles as JSON has them."""
-    return [
-        {"kind": shape.kind, **{k: np.asarray(v).tolist() for k, v in shape.values.items()}}
-        for shape in shapes
-    ]
-
-
-def enter(found: dict, seen: Scan, kind: str, motion: dict) -> None:
-    """Adds what was seen along a motion to what was found: how near what should graze comes, and
-    the motion itself if it is refuted."""
-    gap = seen.gap
-    found["scanned"] += seen.num_configurations
-    found["least"] = min(found["least"], gap)
-    if kind != "plain" and gap < NEAR:
-        found["gaps"].append(round(gap, 9))
-    if gap >= 0:
-        return
-    noise = _NOISE_OF_HALF_SPACES if "half_space" in str(seen.between) else _NOISE
-    if -gap <= noise:
-        found["noise"] += 1
-        return
-    found["refuted"].append({"kind": kind, "gap": gap, "between": seen.between, **motion})
-
-
 def summarize(blocks: list[dict]) -> dict:
     """Counts of an arm's edges, and how close those come that graze."""
-    near = np.concatenate([block["gaps"] for block in blocks])
     total = {
         name: sum(block[name] for block in blocks)
         for name in ("edges", "grazing", "scanned", "noise", "seconds")
@@ -193,9 +169,7 @@ def summarize(blocks: list[dict]) -> dict:
     return {
         "edges": total["edges"],
         "grazing": total["grazing"],
-        "within_2mm": len(near),
-        "median_gap_of_those_um": float(1e6 * np.median(near)) if len(near) else None,
-        "least_gap_um": float(1e6 * min(block["least"] for block in blocks)),
+        **how_near(blocks),
         "configurations": total["scanned"],
         "within_rounding": total["noise"],
         "cpu_ms_an_edge": 1e3 * total["seconds"] / max(1, total["edges"]),
@@ -212,44 +186,19 @@ def run(config: CampaignConfig) -> dict:
         )
     check_seed(config.seed)
     check_target(config.json)
+    folder = folder_of_campaign(config.runs, "certify_campaign", config.step, config.seed)
     settings = {k: v for k, v in dataclasses.asdict(config).items() if k not in ("json", "runs")}
-    arms = make_arms(config)
+    arms = make_arms(config, folder)
     each = -(-config.num_edges // len(arms))
-    found: dict[str, list[dict]] = {name: [] for name in arms}
-    turns = [(name, first) for first in range(0, each, _BLOCK) for name in arms]
-    for name, first in track(turns, description="certifying and scanning"):
-        num = min(_BLOCK, each - first)
-        path = config.runs / f"{name}_{config.seed}_{first}_{num}_{config.step}.json"
-        if not path.exists():
-            seed = (config.seed, list(arms).index(name), first)
-            write(path, measure_block(arms[name], seed, num, config.step))
-        found[name].append(json.loads(path.read_text()))
-        if found[name][-1]["refuted"]:
-            print(f"refuted: see {path}")
-    found["all"] = [block for blocks in found.values() for block in blocks]
-    summary = {name: summarize(blocks) for name, blocks in found.items()}
-    about = {"machine": describe_machine(), "settings": settings}
-    write(config.json, about | {"arms": summary})
-    _show(summary)
-    return summary
 
+    def block(name: str, first: int) -> Block:
+        num, seed = min(_BLOCK, each - first), seed_of(config.seed, name, first)
+        measure = functools.partial(measure_block, arms[name], seed, num, config.step)
+        return Block(name, f"{name}_{first}_{num}.json", measure)
 
-def write(path: Path, results: object) -> None:
-    """Writes JSON."""
-    atomic_write(path, lambda file: file.write_text(json.dumps(results, indent=1) + "\n") and None)
-
-
-def _show(summary: dict[str, dict]) -> None:
-    columns = "edges,grazing,within 2 mm,median gap,least gap,scanned,within rounding,ms,refuted"
-    caption = "gaps in micrometres; configurations scanned; CPU time an edge"
-    table = Table("arm", *columns.split(","), caption=caption)
-    for name, part in summary.items():
-        texts = [
-            "-" if x is None else f"{x:.0f}" if isinstance(x, float) else str(x)
-            for x in part.values()
-        ]
-        table.add_row(name, *texts)
-    Console().print(table)
+    blocks = [block(name, first) for first in range(0, each, _BLOCK) for name in arms]
+    doing = "certifying and scanning"
+    return run_blocks(folder, blocks, summarize, config.json, settings, doing)
 
 
 if __name__ == "__main__":

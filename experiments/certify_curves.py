@@ -8,25 +8,30 @@ curve every 0.001 rad, straight pieces and rounded corners (`judge.py`), at the 
 motions take their states from. Each corner is looked at twice: as it is, and with an obstacle that
 is pushed towards the arm for as long as the corner's certificate holds, by bisection.
 
-Results are written as they come; the same command goes on where it was cut off, and one with more
-problems goes on from there.
+Results are written as they come (`campaign.py`); the same command goes on where it was cut off, and
+one with more problems goes on from there, as long as the code is the same.
 """
 
 import dataclasses
 import functools
-import json
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
+from experiments.campaign import (
+    SHIPPED,
+    Block,
+    enter,
+    folder_of_campaign,
+    how_near,
+    run_blocks,
+    seed_of,
+    told,
+)
 from experiments.campaign_edges import Edges, draw_shapes
-from experiments.certify_campaign import SHIPPED, enter, told, write
 from experiments.grazing import Pieces, push
 from experiments.judge import Arm, Judge
 from gnnjax.arguments import parse_arguments
@@ -35,7 +40,6 @@ from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.clearances import clearances
 from gnnjax.errors import InputError, check_seed, run_command
 from gnnjax.files import check_target
-from gnnjax.measure.machine import describe_machine
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.query import QueryPlanner
@@ -72,8 +76,8 @@ class CurvesConfig:
     """Largest distance of neighbouring configurations of the scan, rad (or m)."""
     seed: int = 1
     """Of scenes, ends and roadmaps."""
-    runs: Path = Path("runs/certify_curves")
-    """Folder of what was found problem by problem."""
+    runs: Path = Path("runs")
+    """Where the folder goes of what was found problem by problem."""
     json: Path = Path("results/certify_curves.json")
     """Where the summary goes."""
 
@@ -198,14 +202,11 @@ def pushed(
 
 def summarize(blocks: list[dict]) -> dict:
     """Counts of an arm's curves, how close those corners come that graze, and CPU time."""
-    near = np.concatenate([block["gaps"] for block in blocks])
     total = {name: sum(block[name] for block in blocks) for name in (*_COUNTS, "seconds")}
     pieces = total["straight"] + total["corners"] + total["pushed"]
     return {
         **{name: total[name] for name in _COUNTS},
-        "within_2mm": len(near),
-        "median_gap_of_those_um": float(1e6 * np.median(near)) if len(near) else None,
-        "least_gap_um": float(1e6 * min(block["least"] for block in blocks)),
+        **how_near(blocks),
         "pieces": pieces,
         "cpu_ms_a_piece": float(1e3 * total["seconds"] / max(1, pieces)),
         "refuted": sum(len(block["refuted"]) for block in blocks),
@@ -221,34 +222,23 @@ def run(config: CurvesConfig) -> dict:
         )
     check_seed(config.seed)
     check_target(config.json)
+    folder = folder_of_campaign(config.runs, "certify_curves", config.step, config.seed)
     planner = functools.cache(lambda name: make_planner(load_robot(name), PlannerOptions()))
-    blocks = -(-config.num_problems // (len(SHIPPED) * _BLOCK))
-    found: dict[str, list[dict]] = {name: [] for name in SHIPPED}
-    turns = [(name, number) for number in range(blocks) for name in SHIPPED]
-    for name, number in track(turns, description="planning, certifying and scanning"):
-        path = config.runs / f"{Path(name).stem}_{config.seed}_{number}_{config.step}.json"
-        if not path.exists():
-            seed = (config.seed, SHIPPED.index(name), number)
-            arm = Arm(load_robot(name))
-            write(path, measure_block(arm, planner(name), seed, config.step))
-        found[name].append(json.loads(path.read_text()))
-        if found[name][-1]["refuted"]:
-            print(f"refuted: see {path}")
-    found["all"] = [block for own in found.values() for block in own]
-    summary = {name: summarize(own) for name, own in found.items()}
+
+    def block(name: str, number: int) -> Block:
+        stem = Path(name).stem
+
+        def measure() -> dict:
+            seed = seed_of(config.seed, stem, number)
+            return measure_block(Arm(load_robot(name)), planner(name), seed, config.step)
+
+        return Block(name, f"{stem}_{number}.json", measure)
+
+    rounds = -(-config.num_problems // (len(SHIPPED) * _BLOCK))
+    blocks = [block(name, number) for number in range(rounds) for name in SHIPPED]
     settings = {"num_problems": config.num_problems, "step": config.step, "seed": config.seed}
-    about = {"machine": describe_machine(), "settings": settings}
-    write(config.json, about | {"arms": summary})
-    _show(summary)
-    return summary
-
-
-def _show(summary: dict[str, dict]) -> None:
-    table = Table("arm", *(name.replace("_", " ") for name in summary["all"]))
-    for name, part in summary.items():
-        texts = (f"{x:.0f}" if isinstance(x, float) else str(x) for x in part.values())
-        table.add_row(name, *texts)
-    Console().print(table)
+    doing = "planning, certifying and scanning"
+    return run_blocks(folder, blocks, summarize, config.json, settings, doing)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write
 from gnnjax.problems.problem import sample_scene
-from gnnjax.roadmap.graph import Roadmap, default_radius
+from gnnjax.roadmap.graph import Roadmap, default_radius, each_edge
 from gnnjax.roadmap.sampled import sample_free, sample_roadmap
 from gnnjax.scene.scene import Scene
 
@@ -133,9 +133,8 @@ def _draw(
 
 def _edges(roadmap: Roadmap) -> tuple[np.ndarray, np.ndarray]:
     """Both ends [E D] of every undirected edge, in the order in which `check_edges` tests them."""
-    own = np.arange(len(roadmap.nodes))[:, None]
-    node, slot = np.nonzero(roadmap.neighbor_mask & (own < roadmap.neighbors))
-    near, far = roadmap.nodes[node], roadmap.nodes[roadmap.neighbors[node, slot]]
+    edges = each_edge(roadmap)
+    near, far = roadmap.nodes[edges.first], roadmap.nodes[edges.second]
     first = np.argmax(near != far, axis=1)[:, None]
     swap = np.take_along_axis(near > far, first, axis=1)
     return np.where(swap, far, near), np.where(swap, near, far)

@@ -10,21 +10,20 @@ are those that are shipped.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.cases import own_case
+from experiments.cases import first_roadmap_case
 from experiments.measure import ExperimentConfig, difference, measure, problem_set
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
-from experiments.statistics import BAND
+from experiments.style import draw_lines
 from experiments.tables import DETAIL, both, interval, markdown
-from experiments.variants import command as training_command
-from experiments.variants import trained, training_set
-from gnnjax.evaluate import EvaluateConfig
+from experiments.training import command, trained
+from experiments.variants import training_set
 from gnnjax.train import PRESETS, TrainConfig
 from gnnjax.training.weights import read_metadata
 
@@ -72,11 +71,13 @@ def measurement(config: ConvergedConfig) -> Measurement:
 def _rows(config: ConvergedConfig) -> Iterator[Row]:
     robot = config.robot or "kuka_iiwa14"
     path = problem_set(config, robot, num_problems=config.num_problems)
-
-    def case(planner: str, **changes: Any) -> EvaluateConfig:
-        made = own_case(path, robot, planner, config.num_nodes, config.num_problems)
-        return dataclasses.replace(made, max_roadmaps=1, **changes)
-
+    case = functools.partial(
+        first_roadmap_case,
+        path,
+        robot,
+        num_nodes=config.num_nodes,
+        num_problems=config.num_problems,
+    )
     distance = case("distance")
     yield {"variant": "distance to the goal", **measure(config, distance), "difference": None}
     data = training_set(config, robot, config.num_roadmaps, config.num_nodes)
@@ -86,7 +87,7 @@ def _rows(config: ConvergedConfig) -> Iterator[Row]:
         network = case("gnn", weights=weights)
         yield {
             "variant": f"paper's network, training seed {seed}",
-            "training": training_command(made),
+            "training": command(made),
             "last_epoch": read_metadata(weights)["training"]["log"][-1],
             **measure(config, network),
             "difference": difference(config, network, distance),
@@ -94,9 +95,9 @@ def _rows(config: ConvergedConfig) -> Iterator[Row]:
 
 
 PANELS = (
-    ("success", "solved on the one roadmap [%]", 100.0),
-    ("edge_checks", "edge checks", 1.0),
-    ("cost", "path cost [rad]", 1.0),
+    ("success", "solved on the one roadmap [%]", 100.0, False),
+    ("edge_checks", "edge checks", 1.0, False),
+    ("cost", "path cost [rad]", 1.0, False),
 )
 
 
@@ -104,22 +105,7 @@ def draw(results: Row) -> Figure:
     """Draws means with 95 % intervals, a line a training."""
     rows = results["rows"]
     figure = Figure(figsize=(12, 1.4 + 0.4 * len(rows)), dpi=110, layout="constrained")
-    axes = figure.subplots(1, len(PANELS), sharey=True)
-    for panel, (name, title, scale) in zip(axes, PANELS, strict=True):
-        for stratum, color in {"all": "tab:blue", "hard": "tab:red"}.items():
-            for at, row in enumerate(rows):
-                part = row["summary"][stratum][name]
-                if part is not None:
-                    mean, low, high = (scale * part[key] for key in BAND)
-                    error = [[max(mean - low, 0.0)], [max(high - mean, 0.0)]]
-                    label = stratum if at == 0 else None
-                    panel.errorbar(
-                        mean, -at, xerr=error, fmt=".", color=color, capsize=2, label=label
-                    )
-        panel.set(title=title)
-        panel.grid(axis="x", alpha=0.3)
-    axes[0].set_yticks([-at for at in range(len(rows))], [row["variant"] for row in rows])
-    axes[0].legend()
+    draw_lines(figure, rows, [row["variant"] for row in rows], PANELS)
     figure.suptitle("Means with 95 % intervals")
     return figure
 

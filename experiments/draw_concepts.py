@@ -26,7 +26,7 @@ from gnnjax.files import atomic_write
 from gnnjax.guide.field import field_guide, reach_grid
 from gnnjax.planning.load import load_planner
 from gnnjax.plot import draw_cover
-from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius
+from gnnjax.roadmap.graph import GOAL, START, Roadmap, default_radius, each_edge
 from gnnjax.roadmap.stored import insert_ends, stored_roadmap
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import box
@@ -91,9 +91,8 @@ def _joined(robot: Robot) -> Roadmap:
 
 def _edges(roadmap: Roadmap) -> np.ndarray:
     """`[E 2]` nodes of each edge, once."""
-    own = np.arange(len(roadmap.nodes))[:, None]
-    first, slot = np.nonzero(np.asarray(roadmap.neighbor_mask) & (own < roadmap.neighbors))
-    return np.stack([first, np.asarray(roadmap.neighbors)[first, slot]], axis=1)
+    edges = each_edge(roadmap)
+    return np.stack([edges.first, edges.second], axis=1)
 
 
 def _plane(robot: Robot, scene: Scene, axes: Axes) -> None:

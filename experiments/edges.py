@@ -17,6 +17,7 @@ from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
 from gnnjax.guide.motion import MotionNetwork, make_prices
 from gnnjax.guide.view import arm_view
 from gnnjax.problems.labelled import LabelledRoadmap, generate_labelled, problem_keys
+from gnnjax.roadmap.graph import each_edge
 from gnnjax.scene.scene import Scene
 from gnnjax.train_motion import area_under_curve
 
@@ -53,18 +54,16 @@ def labelled_edges(robot_name: str, num_roadmaps: int, num_nodes: int) -> Edges:
     drawn = draw(problem_keys(0, "validation", 0, num_roadmaps))
     assert isinstance(drawn, LabelledRoadmap)
     roadmaps, labels = jax.tree.map(np.asarray, (drawn.roadmap, drawn.labels))
-    own = np.arange(roadmaps.nodes.shape[1])[:, None]
-    once = roadmaps.neighbor_mask & (own < roadmaps.neighbors)
-    most = int(once.sum(axis=(1, 2)).max())
+    found = [each_edge(jax.tree.map(lambda x, i=i: x[i], roadmaps)) for i in range(num_roadmaps)]
+    most = max(len(edges.first) for edges in found)
     shape = (num_roadmaps, most)
     starts, ends = np.zeros((2, *shape, robot.num_dof), np.float32)
     valid, mask = np.zeros((2, *shape), bool)
-    for i, chosen in enumerate(once):
-        node, slot = np.nonzero(chosen)
-        num = len(node)
-        starts[i, :num] = roadmaps.nodes[i, node]
-        ends[i, :num] = roadmaps.nodes[i, roadmaps.neighbors[i, node, slot]]
-        valid[i, :num] = labels.edge_valid[i, node, slot]
+    for i, (first, second, slot) in enumerate(found):
+        num = len(first)
+        starts[i, :num] = roadmaps.nodes[i, first]
+        ends[i, :num] = roadmaps.nodes[i, second]
+        valid[i, :num] = labels.edge_valid[i, first, slot]
         mask[i, :num] = True
     scenes = jax.tree.map(np.asarray, drawn.problem.scene)
     return Edges(robot, scenes, starts, ends, valid, mask)

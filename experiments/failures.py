@@ -10,8 +10,10 @@ runs as Figure 5:
 - swinging back and forth: consecutive motions that turn by more than 90 degrees;
 - the grid: starts and goals that are free, and in collision with the voxels the network sees.
 
-"guided" searches roadmaps of its own, so that dead ends and costs are beside those of others;
-"guided_sampled" searches the same ones.
+"guided_sampled" searches the same roadmaps as the others. "guided_dear", told that checks are dear,
+searches roadmaps of its own; "guided" searches none, but grows trees from start and goal, and what
+these do not solve counts as its dead ends. Of both, dead ends and costs are set beside the others'
+roadmaps all the same, whose paths are not shortened as theirs are.
 """
 
 import dataclasses
@@ -30,7 +32,7 @@ from experiments.measure import ExperimentConfig, command, measure_problems, pro
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import Rows, column, solved_first, statistics
-from experiments.style import COLORS, label
+from experiments.style import draw_bars, label
 from experiments.tables import interval, markdown, span
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
@@ -39,7 +41,7 @@ from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import Scene, box_scene
 from gnnjax.training.weights import load_network
 
-PLANNERS = ("guided", "guided_sampled", "gnn_paper", "gnn", "gnn_lazy", "distance")
+PLANNERS = ("guided", "guided_dear", "guided_sampled", "gnn_paper", "gnn", "gnn_lazy", "distance")
 REVERSAL = -1e-6  # cosine of the angle between two motions, below which the path turns back
 
 
@@ -145,21 +147,13 @@ def draw(results: Row) -> Figure:
     """Draws bars with intervals, a group a roadmap size."""
     rows = results["rows"]
     figure = Figure(figsize=(12, 3.6), dpi=110, layout="constrained")
-    sizes, width = sorted({row["num_nodes"] for row in rows}), 0.8 / len(PLANNERS)
+    found = {(row["planner"], row["num_nodes"]): row for row in rows}
+    sizes = sorted({size for _, size in found})
+    planners = [planner for planner in PLANNERS if (planner, sizes[0]) in found]
     for place, (name, title, scale) in enumerate(PANELS, start=1):
         axes = figure.add_subplot(1, 3, place)
-        for offset, planner in enumerate(PLANNERS):
-            chosen = [row for row in rows if row["planner"] == planner and row[name]]
-            shift = width * (offset - (len(PLANNERS) - 1) / 2)
-            at = [sizes.index(row["num_nodes"]) + shift for row in chosen]
-            mean = np.array([scale * row[name]["mean"] for row in chosen])
-            ends = [[scale * row[name][end] for row in chosen] for end in ("low", "high")]
-            error = np.maximum([mean - ends[0], ends[1] - mean], 0)
-            color = COLORS[planner]
-            axes.bar(
-                at, mean, 0.9 * width, yerr=error, color=color, label=label(planner), capsize=2
-            )
-        axes.set_xticks(range(len(sizes)), [f"N = {n}" for n in sizes])
+        values = {planner: [found[planner, n][name] for n in sizes] for planner in planners}
+        draw_bars(axes, values, [f"N = {n}" for n in sizes], scale)
         axes.set_title(title)
         if name == "cost_ratio":
             axes.set_ylim(bottom=0.9)

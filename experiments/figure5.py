@@ -28,7 +28,7 @@ from experiments.bounds import (
     per_verification,
     verification_table,
 )
-from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, own_case
+from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, nodes_of, own_case
 from experiments.measure import ExperimentConfig, measure, measure_problems, problem_sets
 from experiments.published import FIGURE5
 from experiments.record import Experiment, Finding, Measurement, judge, main
@@ -60,9 +60,8 @@ class Figure5Config(ExperimentConfig):
     num_problems: int = 300
     """Problems of each set."""
     guided_num_nodes: tuple[int, ...] = (200, 1000)
-    """Roadmap sizes of the default planner, and of the comparison of searches."""
-    fine_num_nodes: tuple[int, ...] = (200,)
-    """Roadmap sizes of the default planner with edges tested every 0.02 rad."""
+    """Roadmap sizes of the comparison of searches; the first is that of the default planner where
+    it searches roadmaps."""
 
 
 def measurement(config: Figure5Config) -> Measurement:
@@ -79,12 +78,12 @@ def _rows(config: Figure5Config) -> Iterator[Row]:
         for planner in PLANNERS:
             if planner in GUIDED and not varied:
                 continue
-            once = planner in ("guided_dear", "guided_roadmap")
+            once = planner in ("guided", "guided_dear", "guided_roadmap")
             if once and num_nodes != config.guided_num_nodes[0]:
                 continue
             for name, path in sets.items():
                 case = own_case(path, robot, planner, num_nodes, num)
-                row = {"set": name, "planner": planner, "num_nodes": num_nodes}
+                row = {"set": name, "planner": planner, "num_nodes": nodes_of(case)}
                 row |= _measured(config, case)
                 if planner in BOUNDED and varied:
                     compared = (
@@ -93,20 +92,13 @@ def _rows(config: Figure5Config) -> Iterator[Row]:
                     )
                     row["first_roadmap"] = first_roadmap(*compared)
                 yield row
-    for planner in (*CLASSICAL, "ompl:rrt_connect@simplified", "ompl:rrt_connect@0.02"):
+    only = {"ompl:rrt_connect@simplified": "test", "guided@0.02": "public"}
+    for planner in (*CLASSICAL, *only, "ompl:rrt_connect@0.02"):
         for name, path in sets.items():
-            if planner == "ompl:rrt_connect@simplified" and name != "test":
-                continue
-            case = classical_case(path, robot, planner, num)
-            key = {"set": name, "planner": planner, "num_nodes": None}
-            yield key | _measured(config, case)
-    for num_nodes in config.fine_num_nodes:
-        for name, path in sets.items():
-            if name != "public":
-                continue
-            case = own_case(path, robot, "guided@0.02", num_nodes, num)
-            key = {"set": name, "planner": "guided@0.02", "num_nodes": num_nodes}
-            yield key | _measured(config, case)
+            if only.get(planner, name) == name:
+                case = classical_case(path, robot, planner, num)
+                key = {"set": name, "planner": planner, "num_nodes": None}
+                yield key | _measured(config, case)
 
 
 def _measured(config: Figure5Config, case: EvaluateConfig) -> dict[str, Any]:
@@ -237,7 +229,6 @@ EXPERIMENT = Experiment(
         "num_nodes": (30,),
         "num_problems": 3,
         "guided_num_nodes": (30,),
-        "fine_num_nodes": (),
     },
     measure=measurement,
     draw=draw,

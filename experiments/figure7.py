@@ -15,7 +15,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.cases import CLASSICAL, OURS, classical_case, own_case
+from experiments.cases import CLASSICAL, OURS, classical_case, nodes_of, own_case
 from experiments.measure import ExperimentConfig, measure, problem_set
 from experiments.published import FIGURE7
 from experiments.record import Experiment, Finding, Measurement, judge, main
@@ -75,8 +75,7 @@ def _rows(config: Figure7Config) -> Iterator[Row]:
     }
     for planner, case in named.items():
         measured = measure(config, case)
-        size = None if planner in CLASSICAL else config.num_nodes
-        key = {"planner": planner, "num_nodes": size}
+        key = {"planner": planner, "num_nodes": nodes_of(case)}
         yield key | measured | {"saved": saved(measured["summary"]["all"], compared)}
 
 

@@ -13,7 +13,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.guide.guide import Guide
 from gnnjax.planning.guided import EDGE_PIECES
-from gnnjax.roadmap.graph import Roadmap
+from gnnjax.roadmap.graph import Roadmap, each_edge
 from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.scene import Scene
 from gnnjax.train_motion import area_under_curve
@@ -35,16 +35,12 @@ class StoredEdges(NamedTuple):
 def stored_edges(robot: Robot, scenes: Scene, num_nodes: int, seed: int = 0) -> StoredEdges:
     """Checks each edge of the roadmap that the default planner begins with in each scene."""
     roadmap = stored_roadmap(robot, num_nodes - 2, seed)
-    nodes, neighbors, is_edge = (
-        np.asarray(x) for x in (roadmap.nodes, roadmap.neighbors, roadmap.neighbor_mask)
-    )
-    node, slot = np.nonzero(is_edge & (np.arange(len(nodes))[:, None] < neighbors))
-    other = neighbors[node, slot]
-    starts, ends = nodes[node], nodes[other]
+    nodes, (first, second, _) = np.asarray(roadmap.nodes), each_edge(roadmap)
+    starts, ends = nodes[first], nodes[second]
     check = _checks(robot)
     found = [check(scene, nodes, starts, ends) for scene in each_scene(scenes)]
     free, valid = (np.stack(part) for part in zip(*found, strict=True))
-    return StoredEdges(roadmap, scenes, starts, ends, valid, free[:, node] & free[:, other])
+    return StoredEdges(roadmap, scenes, starts, ends, valid, free[:, first] & free[:, second])
 
 
 @functools.cache

@@ -33,7 +33,7 @@ from experiments.measure import ExperimentConfig, problem_set
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import summarize_seeds
-from experiments.style import make_logarithmic
+from experiments.style import draw_bars, make_logarithmic
 from experiments.tables import cell, listing, made_on, markdown, span
 from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
@@ -80,12 +80,14 @@ def measurement(config: GuidesConfig) -> Measurement:
         "family_problems": config.family_problems,
     }
     head = {"settings": settings | {"seed": config.seeds[0], "scenes": config.scenes}}
-    return Measurement(_rows(config, folder_of(config.runs, "guides", settings)), head)
+    return Measurement(_rows(config, settings), head)
 
 
-def _rows(config: GuidesConfig, folder: Path) -> Iterator[Row]:
+def _rows(config: GuidesConfig, settings: Row) -> Iterator[Row]:
     robot = load_robot(config.robot or "kuka_iiwa14")
-    sets, problems = _all_problems(config, robot)
+    files = _files(config)
+    folder = folder_of(config.runs, "guides", settings, robot.path, *files.values())
+    sets, problems = _all_problems(config, robot, files)
     guides = {name: KINDS[name].make(robot) for name in config.guides}
 
     def ask_all() -> dict[str, dict[str, Row]]:
@@ -117,14 +119,23 @@ def _rows(config: GuidesConfig, folder: Path) -> Iterator[Row]:
             yield {"set": name, "guide": guide, "edges": asked[guide][name], **summaries}
 
 
-def _all_problems(config: GuidesConfig, robot: Robot) -> tuple[dict[str, range], Problem]:
-    """Which problems are of which set, and all of them with room for equally many boxes."""
-    named, parts = config.robot or "kuka_iiwa14", {}
-    path = problem_set(config, named, num_problems=config.num_problems)
-    parts["test"] = load_problems(path, robot).take(slice(config.num_problems)).problems
+def _files(config: GuidesConfig) -> dict[str, Path]:
+    """The file of each set."""
+    find = functools.partial(problem_set, config, config.robot or "kuka_iiwa14")
+    files = {"test": find(num_problems=config.num_problems)}
     for family in config.families:
-        path = problem_set(config, named, family=family, num_problems=config.family_problems)
-        parts[family] = load_problems(path, robot).take(slice(config.family_problems)).problems
+        files[family] = find(family=family, num_problems=config.family_problems)
+    return files
+
+
+def _all_problems(
+    config: GuidesConfig, robot: Robot, files: dict[str, Path]
+) -> tuple[dict[str, range], Problem]:
+    """Which problems are of which set, and all of them with room for equally many boxes."""
+    parts = {}
+    for name, path in files.items():
+        wanted = config.num_problems if name == "test" else config.family_problems
+        parts[name] = load_problems(path, robot).take(slice(wanted)).problems
     most = max(part.scene.mask.shape[1] for part in parts.values())
     padded = [part._replace(scene=pad_scene(part.scene, most)) for part in parts.values()]
     last = np.cumsum([len(part.start) for part in padded]).tolist()
@@ -153,23 +164,21 @@ def draw(results: Row) -> Figure:
     panels = figure.subplots(1, 3)
     sets = list(dict.fromkeys(row["set"] for row in results["rows"]))
     guides = list(dict.fromkeys(row["guide"] for row in results["rows"]))
+    looks = {guide: (KINDS[guide].color, KINDS[guide].title) for guide in guides}
     for axes, (part, quantity, title) in zip(panels, PANELS, strict=True):
-        width = 0.84 / len(guides)
-        for number, guide in enumerate(guides):
+        heights = {}
+        for guide in guides:
             rows = of_guide(results, guide)
-            at = [i + width * (number - (len(guides) - 1) / 2) for i in range(len(sets))]
             if part == "edges":
                 # The oracle's is none, which no logarithmic axis shows.
-                height = [max(1 - rows[name]["edges"][quantity], 1e-6) for name in sets]
+                heights[guide] = [max(1 - rows[name]["edges"][quantity], 1e-6) for name in sets]
             elif quantity == "total_time_s":
-                height = [1e3 * _hard(rows[name], part, quantity, "median") for name in sets]
+                heights[guide] = [1e3 * _hard(rows[n], part, quantity, "median") for n in sets]
             else:
-                height = [_hard(rows[name], part, quantity, "mean") for name in sets]
-            kind = KINDS[guide]
-            axes.bar(at, height, 0.94 * width, color=kind.color, label=kind.title)
+                heights[guide] = [_hard(rows[name], part, quantity, "mean") for name in sets]
+        draw_bars(axes, heights, sets, looks=looks)
         axes.set(title=title)
         make_logarithmic(axes)
-        axes.set_xticks(range(len(sets)), sets)
     panels[0].set_ylim(1e-4, 1)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
     figure.suptitle("Problems whose straight line is blocked")

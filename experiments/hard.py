@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.cases import classical_case, own_case
+from experiments.cases import classical_case, nodes_of, own_case
 from experiments.measure import (
     ExperimentConfig,
     command,
@@ -61,7 +61,7 @@ class HardConfig(ExperimentConfig):
     family_planners: tuple[str, ...] = FAMILY_PLANNERS
     """Planners for the families."""
     guided_sizes: tuple[int, ...] = (1000,)
-    """Roadmap sizes of the guided planner on the families."""
+    """Roadmap sizes of guided_dear on the families."""
 
 
 def measurement(config: HardConfig) -> Measurement:
@@ -75,12 +75,11 @@ def _rows(config: HardConfig, robot: str) -> Iterator[Row]:
     for family in config.families:
         path = problem_set(config, robot, family=family, num_problems=config.family_problems)
         for planner in config.family_planners:
-            guided = planner.startswith("guided")
-            for size in config.guided_sizes if guided else (config.num_nodes,):
+            for size in config.guided_sizes if planner == "guided_dear" else (config.num_nodes,):
                 sized = dataclasses.replace(config, num_nodes=size)
                 case = _case(sized, path, robot, planner, config.family_problems)
                 key = {"set": family, "stratum": family, "planner": planner}
-                yield key | {"num_nodes": _size(case)} | measure(config, case)
+                yield key | {"num_nodes": nodes_of(case)} | measure(config, case)
 
 
 def _strata_rows(config: HardConfig, robot: str, name: str, path: Path) -> Iterator[Row]:
@@ -96,7 +95,7 @@ def _strata_rows(config: HardConfig, robot: str, name: str, path: Path) -> Itera
                 "set": name,
                 "stratum": stratum,
                 "planner": planner,
-                "num_nodes": _size(case),
+                "num_nodes": nodes_of(case),
                 "command": command(case),
                 "summary": summarize_seeds(per_seed, keep=lambda index, m=members: bool(m[index])),
             }
@@ -106,10 +105,6 @@ def _case(config: HardConfig, path: Path, robot: str, planner: str, num: int) ->
     if planner.startswith("ompl:"):
         return classical_case(path, robot, planner, num)
     return own_case(path, robot, planner, config.num_nodes, num)
-
-
-def _size(case: EvaluateConfig) -> int | None:
-    return None if case.planner.startswith("ompl:") else case.num_nodes
 
 
 PANELS = (

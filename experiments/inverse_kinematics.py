@@ -26,6 +26,7 @@ from experiments.measure import ExperimentConfig
 from experiments.record import Experiment, Finding, Measurement, judge, main
 from experiments.results import Row
 from experiments.statistics import proportion
+from experiments.style import draw_bars
 from experiments.tables import markdown
 from experiments.turns import folder_of, kept
 from gnnjax.arm.robot import Robot, load_robot
@@ -209,15 +210,16 @@ def draw(results: Row) -> Figure:
     arms = list(dict.fromkeys(row["arm"] for row in results["rows"]))
     figure = Figure(figsize=(8, 4), dpi=100, layout="constrained")
     axes = figure.subplots()
-    for number, solver in enumerate(MEASURES):
-        rows = [row for row in results["rows"] if row["solver"] == solver]
-        at = [arms.index(row["arm"]) + 0.28 * (number - 1) for row in rows]
-        mean, high = (
-            1e3 * np.array([row["cpu_s"][key] for row in rows]) for key in ("mean", "p95")
-        )
-        above = np.stack([np.zeros(len(rows)), np.maximum(high - mean, 0)])
-        axes.bar(at, mean, 0.26, yerr=above, color=_COLORS[solver], label=solver)
-    axes.set_xticks(range(len(arms)), arms)
+    found = {(row["solver"], row["arm"]): row["cpu_s"] for row in results["rows"]}
+    values = {
+        solver: [
+            {"mean": cpu["mean"], "low": cpu["mean"], "high": cpu["p95"]}
+            for cpu in (found[solver, arm] for arm in arms)
+        ]
+        for solver in MEASURES
+    }
+    looks = {solver: (color, solver) for solver, color in _COLORS.items()}
+    draw_bars(axes, values, arms, 1e3, looks)
     axes.set_title("CPU time of a pose, ms: mean, and 95th percentile")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure

@@ -13,7 +13,7 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.guide.motion import MotionNetwork, motion_guide
-from gnnjax.roadmap.graph import Roadmap
+from gnnjax.roadmap.graph import Roadmap, each_edge, edge_numbers
 from gnnjax.scene.scene import Scene
 from gnnjax.training.weights import load_network_as
 
@@ -92,18 +92,13 @@ def oracle(robot: Robot) -> Guide:
 
         return jax.lax.map(one, scenes)
 
-    return Guide(jnp.asarray(BLOCKED), lambda weights, scene: scene, prices, _each_edge, stored)
+    return Guide(jnp.asarray(BLOCKED), lambda weights, scene: scene, prices, _tabulated, stored)
 
 
-def _each_edge(roadmap: Roadmap) -> Any:
-    nodes, neighbors = np.asarray(roadmap.nodes), np.asarray(roadmap.neighbors)
-    own = np.arange(len(nodes))[:, None]
-    first, slot = np.nonzero(np.asarray(roadmap.neighbor_mask) & (own < neighbors))
-    second = neighbors[first, slot]
-    number = np.full((len(nodes), len(nodes)), len(first), np.int32)
-    number[first, second] = number[second, first] = np.arange(len(first))
-    edge = np.where(roadmap.neighbor_mask, number[own, neighbors], len(first)).astype(np.int32)
-    return jax.tree.map(jnp.asarray, _Edges(nodes[first], nodes[second], edge))
+def _tabulated(roadmap: Roadmap) -> Any:
+    nodes, edges = np.asarray(roadmap.nodes), each_edge(roadmap)
+    starts, ends = nodes[edges.first], nodes[edges.second]
+    return jax.tree.map(jnp.asarray, _Edges(starts, ends, edge_numbers(roadmap, edges)))
 
 
 KINDS = {

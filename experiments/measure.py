@@ -2,7 +2,8 @@
 
 An experiment asks for cases (`EvaluateConfig`s). Each is evaluated for every seed by
 `gnnjax.evaluate`, whose files in `runs/` hold every problem; a run that was cut off goes on from
-them. What is kept are summaries over problems and seeds, in `results/`.
+them, and experiments share them. Those of other code lie in folders of their own. What is kept are
+summaries over problems and seeds, in `results/`.
 """
 
 import dataclasses
@@ -12,6 +13,7 @@ from typing import Any
 
 from experiments.commands import command_line
 from experiments.statistics import column, statistics, summarize_seeds
+from experiments.turns import code_digest
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate, planner_for
@@ -34,7 +36,7 @@ class ExperimentConfig:
     data: Path = Path("data")
     """Where problem sets are, and are generated if they are missing."""
     runs: Path = Path("runs/evaluate")
-    """Where the results of single problems go."""
+    """Where the results of single problems go, in a folder for each version of the code."""
     results: Path | None = None
     """Where the JSON and the figure go; by default results, and runs/quick with --quick."""
 
@@ -116,7 +118,8 @@ def difference(config: ExperimentConfig, ours: EvaluateConfig, theirs: EvaluateC
 
 def _run_seed(case: EvaluateConfig, seed: int, runs: Path) -> dict[str, Any]:
     """All results of one seed."""
-    case = dataclasses.replace(case, seed=seed, json=runs / f"{slug(case)}_seed{seed}.json")
+    path = runs / code_digest()[:8] / f"{slug(case)}_seed{seed}.json"
+    case = dataclasses.replace(case, seed=seed, json=path)
     settings = dataclasses.replace(case, problems=Path(), json=Path(), seed=0, num_problems=None)
     return evaluate(case, _planner(settings))
 

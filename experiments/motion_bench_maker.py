@@ -74,7 +74,8 @@ def measurement(config: MotionBenchMakerConfig) -> Measurement:
         raise InputError("processes and num_problems must be at least 1")
     robot = config.robot or "franka_panda"
     path = _problems(config, robot)
-    problems = load_problems(path, load_robot(robot, hold=dict(config.hold)))
+    arm = load_robot(robot, hold=dict(config.hold))
+    problems = load_problems(path, arm)
     rows = _rows_by_scene(problems, path, config.num_problems)
     settings = {
         "robot": Path(robot).stem,
@@ -86,7 +87,8 @@ def measurement(config: MotionBenchMakerConfig) -> Measurement:
         "seed": config.seeds[0],
     }
     told = {name: problems.extras[name] for name in PUBLISHED if name in problems.extras}
-    folder = folder_of(config.runs, f"motion_bench_maker_{path.stem}", settings, path)
+    name = f"motion_bench_maker_{path.stem}"
+    folder = folder_of(config.runs, name, settings, path, arm.path)
 
     def case(planner: str) -> EvaluateConfig:
         limit = np.inf if planner == OWN else config.time_limit

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from experiments.record import Finding, judge
 from experiments.results import Row
-from experiments.style import COLORS, label
+from experiments.style import draw_bars, label
 from experiments.tables import made_on, markdown
 
 OWN, RIVAL = "guided", "ompl:rrt_connect@simplified"
@@ -20,11 +20,8 @@ def draw(results: Row) -> Figure:
     figure = Figure(figsize=(11, 4), dpi=100, layout="constrained")
     left, right = figure.subplots(1, 2)
     groups = [(row, name) for row in rows for name in row["durations"]]
-    for number, planner in enumerate((OWN, RIVAL)):
-        at = np.arange(len(groups)) + 0.4 * (number - 0.5)
-        height = [row["durations"][name][planner] for row, name in groups]
-        left.bar(at, height, 0.38, color=COLORS[planner], label=label(planner))
-    left.set_xticks(range(len(groups)), [f"{row['arm']}\n{name}" for row, name in groups])
+    heights = {p: [row["durations"][name][p] for row, name in groups] for p in (OWN, RIVAL)}
+    draw_bars(left, heights, [f"{row['arm']}\n{name}" for row, name in groups])
     left.tick_params(axis="x", labelsize=7)
     left.set_title("duration, mean [s]")
     left.legend()

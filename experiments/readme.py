@@ -22,10 +22,11 @@ def main_tables(results: Row) -> dict[str, str]:
         keys = [(planner, n) for n in SHORT_SIZES for planner in SHORT_PLANNERS]
         chosen = [found[key] for key in keys if key in found]
         if chosen:
-            commands = f"The last row is made by\n\n```sh\n{chosen[-1]['command']}\n```\n"
-            texts[name] = "\n".join(
-                [planner_table(chosen), measured_on(results, chosen[-1]) + " " + commands]
-            )
+            default = found.get(("guided", None), chosen[-1])
+            made_by = f"The row of {default['planner']} is made by"
+            command = f"{made_by}\n\n```sh\n{default['command']}\n```\n"
+            measured = f"{measured_on(results, default)} {command}"
+            texts[name] = f"{planner_table(chosen)}\n{measured}"
     return texts
 
 

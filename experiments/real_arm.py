@@ -31,6 +31,7 @@ from experiments.real_arm_table import draw, table, verdict
 from experiments.record import Experiment, Measurement, main
 from experiments.results import Row
 from experiments.turns import folder_of
+from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.trajectory.simulate import ModelErrors
 
@@ -94,7 +95,9 @@ def _rows(config: RealArmConfig, settings: Row) -> Iterator[Row]:
 def _part(config: RealArmConfig, settings: Row, arm: str, family: str, turn: int) -> Part:
     num, seed = _at_once(config), config.seeds[0]
     told = [settings, seed, arm, family, turn, num]
-    folder = folder_of(config.runs, f"real_arm_{Path(arm).stem}_{family}_{turn}", told)
+    name = f"real_arm_{Path(arm).stem}_{family}_{turn}"
+    # Problems are drawn, by code that counts; the arm may be a file of one's own.
+    folder = folder_of(config.runs, name, told, load_robot(arm).path)
     drawn = arm, family, turn * num, num
     return measure_part(folder, *drawn, config.payloads, config.conditions, seed)
 

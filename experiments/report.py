@@ -3,8 +3,8 @@ of cluster.md there, and the README's tables.
 
     python -m experiments.report
 
-Every number comes from the JSON in `results/`, or from what others state (`published.py`); none is
-typed by hand, and neither is whether a claim holds.
+Every number comes from the JSON in `results/`, or from what others state and this project's history
+holds (`published.py`); none is typed by hand, and neither is whether a claim holds.
 """
 
 import dataclasses

@@ -2,10 +2,11 @@
 
     python -m experiments.run_all
 
-Problem sets, and networks that are not shipped, are made where they are missing. What was measured
-before is kept, in `runs/`, so that the command goes on where it was cut off. `--quick` runs
-everything on a few problems and writes no texts. An experiment whose problems others publish keeps
-its results where these problems are not there.
+Problem sets, and networks that are not shipped, are made where they are missing. What this very
+code has measured before is kept, in `runs/`, so that the command goes on where it was cut off; what
+other code has measured lies beside it, and does not count. `--quick` runs everything on a few
+problems and writes no texts. An experiment whose problems others publish keeps its results where
+these problems are not there.
 """
 
 import dataclasses

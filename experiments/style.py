@@ -1,11 +1,13 @@
-"""Names and colors of the planners, the same in all figures and tables, and bars of them."""
+"""Names and colors of the planners, the same in all figures and tables, and bars and lines of
+them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogFormatter
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter, LogLocator, NullLocator
 
 from experiments.statistics import BAND
 
@@ -67,34 +69,74 @@ def label(planner: str) -> str:
 
 def draw_bars(
     axes: Axes,
-    values: Mapping[str, Sequence[dict[str, Any] | None]],
+    values: Mapping[str, Sequence[dict[str, Any] | float | None]],
     groups: Sequence[str],
     scale: float = 1.0,
+    looks: Mapping[str, tuple[str, str]] | None = None,
 ) -> None:
     """Draws means with their 95 % intervals: a group of bars a place on x, a bar a planner.
 
     Args:
         axes: where.
-        values: of each planner, the statistics for each group; None leaves a gap.
+        values: of each planner, the statistics for each group, or a number that has no interval;
+            None leaves a gap.
         groups: names of the groups.
         scale: factor of all numbers.
+        looks: colors and names of what is no planner.
     """
     width = 0.84 / len(values)
     for number, (planner, statistics) in enumerate(values.items()):
         there = [(group, v) for group, v in enumerate(statistics) if v is not None]
         at = [group + width * (number - (len(values) - 1) / 2) for group, _ in there]
-        mean, low, high = (scale * np.array([v[k] for _, v in there]) for k in BAND)
+        bands = [[v[k] for k in BAND] if isinstance(v, dict) else [v] * 3 for _, v in there]
+        mean, low, high = scale * np.array(bands, float).reshape(-1, 3).T
         error = np.maximum([mean - low, high - mean], 0)  # rounding
+        color, name = (COLORS[planner], label(planner)) if looks is None else looks[planner]
         axes.bar(
             at,
             mean,
             0.94 * width,
-            yerr=error,
-            color=COLORS[planner],
-            label=label(planner),
+            yerr=error if (error > 0).any() else None,
+            color=color,
+            label=name,
             error_kw={"elinewidth": 0.8},
         )
     axes.set_xticks(range(len(groups)), groups)
+
+
+def draw_lines(
+    figure: Figure,
+    rows: Sequence[dict[str, Any]],
+    names: Sequence[str],
+    panels: Sequence[tuple[str, str, float, bool]],
+) -> None:
+    """Draws means with their 95 % intervals, a line a row, of all problems and of the hard ones.
+
+    Args:
+        figure: whose panels are side by side.
+        rows: of the results, the first at the top.
+        names: of the lines.
+        panels: of each its quantity, title, factor, and whether it is logarithmic.
+    """
+    axes, at = figure.subplots(1, len(panels), sharey=True), -np.arange(len(rows))
+    for panel, (quantity, title, scale, logarithmic) in zip(axes, panels, strict=True):
+        for stratum, color in {"all": "tab:blue", "hard": "tab:red"}.items():
+            parts = [row["summary"][stratum][quantity] for row in rows]
+            there = [i for i, part in enumerate(parts) if part is not None]
+            mean, low, high = (np.array([scale * parts[i][key] for i in there]) for key in BAND)
+            spread = np.maximum([mean - low, high - mean], 0.0)
+            panel.errorbar(
+                mean, at[there], xerr=spread, fmt=".", color=color, capsize=2, label=stratum
+            )
+        panel.set(title=title)
+        panel.grid(axis="x", alpha=0.3)
+        if logarithmic:
+            panel.set_xscale("log")
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            panel.xaxis.set_minor_locator(NullLocator())
+    axes[0].set_yticks(at, names)
+    axes[0].legend()
 
 
 def make_logarithmic(axes: Axes, which: str = "y") -> None:

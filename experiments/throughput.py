@@ -94,7 +94,8 @@ def measurement(config: ThroughputConfig) -> Measurement:
     if min(*config.pools, config.singles, config.turns, config.processes, config.memory_pool) < 1:
         raise InputError("pools, singles, turns, processes and memory_pool must be at least 1")
     path = _problems(config, robot)
-    num = len(load_problems(path, load_robot(robot)).take(slice(config.num_problems)))
+    arm = load_robot(robot)
+    num = len(load_problems(path, arm).take(slice(config.num_problems)))
     pools = sorted({min(pool, num) for pool in config.pools})
     settings = {
         "robot": Path(robot).stem,
@@ -106,7 +107,8 @@ def measurement(config: ThroughputConfig) -> Measurement:
         "processes": config.processes,
         "seed": config.seeds[0],
     }
-    folder = folder_of(config.runs, f"throughput_{path.stem}", settings)
+    name = f"throughput_{path.stem}"
+    folder = folder_of(config.runs, name, settings, path, arm.path)
 
     def case(planner: str) -> EvaluateConfig:
         limit = config.time_limit if planner.startswith("ompl:") else np.inf

@@ -12,6 +12,7 @@ import numpy as np
 import gnnjax
 from experiments.contenders import Turn
 from experiments.results import Row
+from gnnjax.arm.shipped import assets_dir
 from gnnjax.files import atomic_write, check_target
 from gnnjax.measure.statistics import describe
 
@@ -21,15 +22,27 @@ Columns = dict[str, Any]  # a turn as it is kept: the clock, and a list for each
 def folder_of(runs: Path, name: str, settings: Any, *files: Path) -> Path:
     """Where is kept what this very code has measured with settings and files; what others have
     measured, or earlier versions, lies elsewhere."""
-    told = json.dumps([settings, _code()]).encode() + b"".join(file.read_bytes() for file in files)
+    contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+    told = json.dumps([settings, contents, code_digest()]).encode()
     return runs / f"{name}_{hashlib.sha256(told).hexdigest()[:8]}"
 
 
 @functools.cache
-def _code() -> str:
-    """A digest of the package's modules."""
-    files = sorted(Path(gnnjax.__file__).parent.rglob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+def code_digest() -> str:
+    """The digest of what measures: the package with its weights, the experiments, and the arms."""
+    package, own = Path(gnnjax.__file__).parent, Path(__file__).parent
+    return _digest_of([package, own, assets_dir()])
+
+
+def _digest_of(folders: list[Path]) -> str:
+    """The digest of all files of some folders and those in them, with their names."""
+    found = hashlib.sha256()
+    for folder in folders:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file() and "__pycache__" not in path.parts:
+                name, content = path.relative_to(folder.parent).as_posix(), path.read_bytes()
+                found.update(f"{name}:{len(content)}:".encode() + content)
+    return found.hexdigest()
 
 
 def kept(path: Path, measure: Callable[[], Any]) -> Any:

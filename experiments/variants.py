@@ -7,11 +7,10 @@ from typing import Any, get_args
 import jax
 from flax import nnx
 
-from experiments.commands import command_line
 from experiments.measure import ExperimentConfig
 from gnnjax.generate import GenerateConfig, generate
 from gnnjax.paper.network import Part
-from gnnjax.train import PRESETS, TrainConfig, train
+from gnnjax.train import PRESETS, TrainConfig
 from gnnjax.training.weights import load_network
 
 _BATCH_SIZE = 10  # divides all numbers of training problems
@@ -87,18 +86,6 @@ def training(
     return dataclasses.replace(PRESETS[changes.get("preset", "default")], **(common | changes))
 
 
-def trained(config: TrainConfig) -> Path:
-    """The weights of a training, which runs, or goes on, if they are not there."""
-    weights = config.out / "weights.safetensors"
-    return weights if weights.exists() else train(dataclasses.replace(config, resume=True))
-
-
 def num_weights(weights: Path) -> int:
     """How many numbers a network has."""
     return sum(x.size for x in jax.tree.leaves(nnx.state(load_network(weights), nnx.Param)))
-
-
-def command(config: TrainConfig) -> str:
-    """The command line of a training."""
-    preset = config.preset
-    return command_line(f"train --preset {preset}", config, PRESETS[preset], skip=["resume"])

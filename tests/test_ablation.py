@@ -13,7 +13,8 @@ import gnnjax.train
 from experiments import converged
 from experiments.ablation import EXPERIMENT
 from experiments.record import run
-from experiments.variants import AblationConfig, command, training, variants
+from experiments.training import command
+from experiments.variants import AblationConfig, training, variants
 from gnnjax.paper.network import GuidanceNetwork
 from gnnjax.planning.load import load_planner
 from gnnjax.train import PRESETS, train
@@ -90,7 +91,7 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
 
     make_step = gnnjax.train.make_step
     monkeypatch.setattr("gnnjax.train.make_step", traced_step)
-    monkeypatch.setattr("experiments.variants.train", train_the_first)
+    monkeypatch.setattr("experiments.training.train", train_the_first)
     run(EXPERIMENT, config)
     assert trainings == [(), ("gat",)]
     assert [options.planner for options in asked] == ["gnn", "gnn", "distance"]
@@ -106,7 +107,7 @@ def test_a_quick_run_measures_draws_and_goes_on(tiny_path, tmp_path, monkeypatch
     assert rows[0]["difference"]["edge_checks"]["mean"] == 0
     assert rows[1]["num_weights"] < rows[0]["num_weights"]
     assert (config.out / "ablation.png").stat().st_size > 1000
-    monkeypatch.setattr("experiments.variants.train", None)
+    monkeypatch.setattr("experiments.training.train", None)
     run(EXPERIMENT, config)
     assert (config.out / "ablation.json").read_text() == first  # nothing was run again
 
@@ -138,7 +139,7 @@ def test_a_network_that_adds_nothing_is_found_out(tiny_path, tmp_path, monkeypat
         save_network(weights, network, {"log": [{"epoch": made.epochs, "loss": 0.79}]})
         return weights
 
-    monkeypatch.setattr("experiments.variants.train", train)
+    monkeypatch.setattr("experiments.training.train", train)
     results = run(converged.EXPERIMENT, config)
     assert run(converged.EXPERIMENT, config) == results
     assert trainings == [("paper", 1, 0, True)]

@@ -1,10 +1,12 @@
 """The campaign against certified curves finds nothing, and would find a certificate that errs."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 
-from experiments import certify_curves
+from experiments import certify_curves, turns
 from experiments.certify_curves import CurvesConfig, measure_block, run
 from experiments.judge import Arm
 from gnnjax.arm.robot import load_robot
@@ -56,6 +58,24 @@ def test_certified_curves_survive_a_scan_and_graze(tmp_path, tiny_path):
     assert found["straight"] > found["solved"] > 3
     assert found["within_2mm"] >= 3
     assert run(config)["all"] == found  # from what is there
+
+
+def test_curves_that_an_older_certificate_went_through_do_not_count(tmp_path, monkeypatch):
+    measured = []
+
+    def measure_once(arm, planner, seed, step):
+        measured.append(seed)
+        counts = dict.fromkeys((*certify_curves._COUNTS, "seconds"), 1)
+        return counts | {"gaps": [], "least": 1.0, "refuted": []}
+
+    monkeypatch.setattr(certify_curves, "measure_block", measure_once)
+    config = CurvesConfig(num_problems=16, runs=tmp_path, json=tmp_path / "all.json")
+    for code, num in (("old", 2), ("old", 2), ("new", 4)):
+        monkeypatch.setattr(turns, "code_digest", lambda code=code: code)
+        assert run(config)["all"]["problems"] == 2
+        assert len(measured) == num
+    assert run(dataclasses.replace(config, num_problems=24))["all"]["problems"] == 3
+    assert len(measured) == 5
 
 
 def test_a_certificate_that_bounds_motion_too_low_is_refuted(tiny_path, monkeypatch):

@@ -19,7 +19,7 @@ from experiments.bounds import (
     per_verification,
     verification_table,
 )
-from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, own_case
+from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, nodes_of, own_case
 from experiments.hard import strata_table
 from experiments.measure import ExperimentConfig
 from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
@@ -70,7 +70,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
         before = config.json.exists() and json.loads(config.json.read_text())["complete"]
         planned.extend([] if before else [config.json.name])
         if not config.is_classical:
-            planner = stand_in(config.num_nodes)
+            planner = stand_in(30)
         return evaluate(config, planner)
 
     monkeypatch.setattr(measure, "evaluate", counted)
@@ -124,7 +124,7 @@ def test_quick_forms_write_results_and_figures_and_go_on(tiny_path, folder, monk
     # Killed in the middle of one case, before the results of the others were written.
     times = (folder / "results" / "figure5.json").read_text()
     (folder / "results" / "figure5.json").unlink()
-    cut = next(path for path in (folder / "runs").iterdir() if "lazysp_30" in path.name)
+    cut = next((folder / "runs").rglob("*lazysp_30*.json"))
     half = json.loads(cut.read_text())
     half |= {"problems": half["problems"][:1], "complete": False, "summary": {}}
     cut.write_text(json.dumps(half))
@@ -306,6 +306,41 @@ def test_other_files_are_no_results(tmp_path):
         load_results(tmp_path / "old.json")
 
 
+def test_a_planner_that_searches_no_roadmaps_is_one_for_all_sizes(tmp_path):
+    def case(planner, num_nodes):
+        return own_case(tmp_path / "set.npz", "kuka_iiwa14", planner, num_nodes)
+
+    for planner in ("guided", "guided@0.02"):
+        assert case(planner, 200) == case(planner, 1000)
+        assert nodes_of(case(planner, 1000)) is None
+    for planner in (*{*GUIDED, *OURS} - {"guided"}, "gnn_paper"):
+        assert nodes_of(case(planner, 1000)) == 1000
+    assert nodes_of(case("ompl:rrt_connect@simplified", 1000)) is None
+
+
+def test_sizes_that_files_of_earlier_versions_tell_are_left_out(tmp_path):
+    rows = [
+        {"set": name, "planner": planner, "num_nodes": size, "cost": cost}
+        for name in ("test", "public")
+        for planner in ("guided", "guided_dear")
+        for size, cost in ((200, 1.0), (1000, 2.0))
+    ]
+    path = tmp_path / "figure5.json"
+    path.write_text(json.dumps({"format": 1, "experiment": "figure5", "rows": rows}))
+    found = load_results(path)["rows"]
+    kept = [row for row in found if row["planner"] == "guided"]
+    assert [(row["set"], row["num_nodes"], row["cost"]) for row in kept] == [
+        ("test", None, 1.0),
+        ("public", None, 1.0),
+    ]
+    assert [row for row in found if row["planner"] != "guided"] == [
+        row for row in rows if row["planner"] != "guided"
+    ]
+    # Set beside the roadmaps of others, a planner has a row for each size of theirs.
+    path.write_text(json.dumps({"format": 1, "experiment": "failures", "rows": rows}))
+    assert load_results(path)["rows"] == rows
+
+
 def test_strata_split_by_upper_ends():
     found = split(np.array([2, 3, 4, 9, np.nan]), {"few": 3, "many": np.inf})
     assert found["few"].tolist() == [True, True, False, False, False]
@@ -403,6 +438,24 @@ def test_an_option_is_named_where_it_is_not_the_default(tmp_path):
     assert measure.slug(case) == "set_guided_200_shorten-False_sampled-True"
     parsed = tyro.cli(EvaluateConfig, args=shlex.split(measure.command(case))[3:])
     assert (parsed.planner, parsed.shorten, parsed.sampled) == ("guided", False, True)
+
+
+def test_what_an_older_planner_has_made_is_not_read(tmp_path, monkeypatch):
+    asked = []
+
+    def evaluate_once(case, planner):
+        asked.append(case.json)
+        return {"problems": []}
+
+    monkeypatch.setattr(measure, "evaluate", evaluate_once)
+    monkeypatch.setattr(measure, "_planner", lambda settings: None)
+    config = ExperimentConfig(runs=tmp_path, seeds=(0,))
+    case = own_case(tmp_path / "set.npz", "kuka_iiwa14", "lazysp", 200)
+    for code in ("1" * 64, "1" * 64, "2" * 64):
+        monkeypatch.setattr(measure, "code_digest", lambda code=code: code)
+        measure.measure_problems(config, case)
+    assert asked[0] == asked[1] == tmp_path / "11111111" / "set_lazysp_200_seed0.json"
+    assert asked[2] == tmp_path / "22222222" / "set_lazysp_200_seed0.json"
 
 
 def test_a_set_with_fewer_problems_than_are_wanted_is_refused(tiny_path, tmp_path):

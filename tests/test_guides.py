@@ -180,6 +180,24 @@ def test_quick_forms_write_results_and_go_on(tiny_path, tmp_path, monkeypatch, n
     assert not made  # all was kept
 
 
+def test_blocks_are_of_the_very_arm_and_problems(tiny_path, tmp_path, monkeypatch):
+    told = []
+
+    def folder_of(runs, name, settings, *files):
+        told.extend(files)
+        raise InputError("enough")
+
+    def problem_set(config, robot, *, family="paper", num_problems):
+        return tmp_path / f"{family}_{num_problems}.npz"
+
+    monkeypatch.setattr("experiments.guides.folder_of", folder_of)
+    monkeypatch.setattr("experiments.guides.problem_set", problem_set)
+    config = GuidesConfig(quick=True, robot=str(tiny_path), results=tmp_path)
+    with pytest.raises(InputError, match="enough"):
+        run(EXPERIMENTS["guides"], config)
+    assert told == [tiny_path, tmp_path / "paper_3.npz", tmp_path / "bin_2.npz"]
+
+
 def test_a_guide_that_is_none_is_refused():
     config = GuidesConfig(guides=("oracel",), results=Path("nowhere"))
     with pytest.raises(InputError, match=r"guides are \('oracel',\); choose some of \['length'"):

@@ -82,6 +82,20 @@ def test_the_quick_form_writes_results_and_goes_on(arm, tmp_path, monkeypatch):
     assert (tmp_path / "out" / "real_arm.png").exists()
 
 
+def test_parts_are_of_the_very_arm(arm, tmp_path, monkeypatch):
+    told = []
+
+    def folder_of(runs, name, settings, *files):
+        told.extend(files)
+        raise InputError("enough")
+
+    monkeypatch.setattr("experiments.real_arm.folder_of", folder_of)
+    config = RealArmConfig(quick=True, robot=str(arm), runs=tmp_path, results=tmp_path)
+    with pytest.raises(InputError, match="enough"):
+        run(EXPERIMENTS["real_arm"], config)
+    assert told == [arm]
+
+
 def test_paths_that_the_arm_cannot_hold_are_planned_again(arm, tmp_path, monkeypatch):
     planned = []
 

@@ -12,7 +12,13 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.edges import EdgeChecks
 from gnnjax.paper.graphs import graphs_tuple
 from gnnjax.problems.labelled import label_roadmap
-from gnnjax.roadmap.graph import connect, radius_for_degree, reverse_slots
+from gnnjax.roadmap.graph import (
+    connect,
+    each_edge,
+    edge_numbers,
+    radius_for_degree,
+    reverse_slots,
+)
 from gnnjax.roadmap.paths import cost_to_go, edge_validity, for_each_edge
 from gnnjax.roadmap.smallest import smallest
 
@@ -51,6 +57,25 @@ def test_the_graph_stays_symmetric_when_slots_run_out_and_says_what_it_dropped()
     lost = ((adjacency(full) > 0).sum() - (matrix > 0).sum()) // 2
     assert short.num_dropped == lost
     assert lost > 0
+
+
+def test_each_edge_is_listed_once_and_numbered_in_both_of_its_slots():
+    roadmap = random_roadmap(2, slots=8, masked=3)
+    edges = each_edge(roadmap)
+    matrix = np.triu(adjacency(roadmap))
+    assert set(zip(edges.first.tolist(), edges.second.tolist(), strict=True)) == set(
+        zip(*(x.tolist() for x in np.nonzero(matrix)), strict=True)
+    )
+    np.testing.assert_array_equal(
+        np.asarray(roadmap.neighbors)[edges.first, edges.slot], edges.second
+    )
+    numbers = edge_numbers(roadmap, edges)
+    for i, k in np.ndindex(numbers.shape):
+        ends = {i, int(roadmap.neighbors[i, k])}
+        if roadmap.neighbor_mask[i, k]:
+            assert {int(x[numbers[i, k]]) for x in (edges.first, edges.second)} == ends
+        else:
+            assert numbers[i, k] == len(edges.first)
 
 
 def test_the_graph_stays_symmetric_where_neighbors_are_equally_far():

@@ -17,6 +17,7 @@ from gnnjax.errors import InputError
 from gnnjax.planning.query import Plan, make_plan, plan_valid
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
+from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import box_scene
 
 
@@ -178,6 +179,20 @@ def test_a_verdict_compares_within_turns():
     assert "2.00 times as many (guided, all accepted problems)" in failed
 
 
+def test_another_set_of_the_same_name_is_measured_anew(tiny_path, tmp_path, problems, monkeypatch):
+    monkeypatch.setattr(throughput, "peak_memory", lambda case, num: 100.0)
+    runs = tmp_path / "runs"
+    config = ThroughputConfig(robot=str(tiny_path), problems=problems, runs=runs)
+    for _ in range(2):
+        throughput.measurement(config)
+        assert len(list(runs.iterdir())) == 1
+    held = load_problems(problems, load_robot(tiny_path))
+    others = held.problems._replace(goal=held.problems.goal[::-1])
+    save_problems(problems, dataclasses.replace(held, problems=others))
+    throughput.measurement(config)
+    assert len(list(runs.iterdir())) == 2
+
+
 def test_what_was_kept_is_not_measured_again(tmp_path):
     assert kept(tmp_path / "folder" / "one.json", lambda: [1]) == [1]
     assert kept(tmp_path / "folder" / "one.json", lambda: [2]) == [1]
@@ -185,7 +200,40 @@ def test_what_was_kept_is_not_measured_again(tmp_path):
 
 def test_what_other_code_or_other_settings_have_measured_lies_elsewhere(tmp_path, monkeypatch):
     found = [folder_of(tmp_path, "one", settings) for settings in (1, 1, 2)]
-    monkeypatch.setattr(turns, "_code", lambda: "of yesterday")
+    monkeypatch.setattr(turns, "code_digest", lambda: "of yesterday")
     found.append(folder_of(tmp_path, "one", 1))
     assert found[0] == found[1]
     assert len(set(found)) == 3
+
+
+def test_what_was_measured_of_other_files_lies_elsewhere(tmp_path):
+    one, two = tmp_path / "one.npz", tmp_path / "two.npz"
+    found = set()
+    # Where a file ends counts, too.
+    for contents in (b"ab", b"cd"), (b"abc", b"d"), (b"ab", b"ce"):
+        for path, content in zip((one, two), contents, strict=True):
+            path.write_bytes(content)
+        found.add(folder_of(tmp_path, "one", 1, one, two))
+    assert len(found) == 3
+
+
+def test_the_code_is_the_package_the_experiments_and_the_arms(tmp_path, monkeypatch):
+    """Any file of these counts, with its name; what Python keeps of them does not."""
+    folders = [tmp_path / name for name in ("gnnjax", "experiments", "assets")]
+    for folder in folders:
+        (folder / "__pycache__").mkdir(parents=True)
+        (folder / "__init__.py").touch()
+    monkeypatch.setattr("gnnjax.__file__", str(folders[0] / "__init__.py"))
+    monkeypatch.setattr(turns, "__file__", str(folders[1] / "turns.py"))
+    monkeypatch.setattr(turns, "assets_dir", lambda: folders[2])
+    digest = turns.code_digest.__wrapped__
+    found = [digest()]
+    for path in ("gnnjax/a.py", "experiments/carried_out.py", "assets/arm.xml"):
+        for content in ("x", "xy"):
+            (tmp_path / path).write_text(content)
+            found.append(digest())
+    (folders[0] / "a.py").rename(folders[0] / "b.py")
+    found.append(digest())
+    assert len(set(found)) == len(found)
+    (folders[1] / "__pycache__" / "turns.pyc").touch()
+    assert digest() == found[-1]

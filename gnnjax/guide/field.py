@@ -20,7 +20,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.kept import keep
-from gnnjax.roadmap.graph import Roadmap
+from gnnjax.roadmap.graph import Roadmap, each_edge, edge_numbers
 from gnnjax.scene.field import Grid, cell_of, distance_field, make_grid
 
 CELLS = 24  # along the longest side of the grid
@@ -121,23 +121,19 @@ class EdgeTable(NamedTuple):
 def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
     """The cells and radii of all edges of a roadmap, at places at most `SPACING` apart."""
     spheres = _spheres(robot)
-    nodes, neighbors = np.asarray(roadmap.nodes), np.asarray(roadmap.neighbors)
-    own = np.arange(len(nodes))[:, None]
-    first, slot = np.nonzero(np.asarray(roadmap.neighbor_mask) & (own < neighbors))
-    second = neighbors[first, slot]
-    number = np.full((len(nodes), len(nodes)), len(first), np.int32)
-    number[first, second] = number[second, first] = np.arange(len(first))
-    longest = np.linalg.norm(nodes[second] - nodes[first], axis=1).max(initial=0.0)
+    nodes, edges = np.asarray(roadmap.nodes), each_edge(roadmap)
+    starts, ends = nodes[edges.first], nodes[edges.second]
+    longest = np.linalg.norm(ends - starts, axis=1).max(initial=0.0)
     fraction = np.linspace(0, 1, int(np.ceil(longest / SPACING)) + 1, dtype=np.float32)[:, None]
-    ends = nodes[first][:, None], nodes[second][:, None]
-    places = (ends[0] + fraction * (ends[1] - ends[0])).reshape(-1, nodes.shape[1])  # [EF D]
+    places = starts[:, None] + fraction * (ends - starts)[:, None]
+    places = places.reshape(-1, nodes.shape[1])  # [EF D]
     # In blocks of one shape, which is compiled once for all roadmaps.
     padded = np.pad(places, ((0, -len(places) % _PLACES), (0, 0)))
     seen = np.zeros((len(spheres.radii), len(padded)), np.int32)  # [S EF]
     for at in range(0, len(padded), _PLACES):
         block = slice(at, at + _PLACES)
         seen[:, block] = _compiled_cells(grid)(_compiled_centers(robot)(padded[block]))
-    seen = seen[:, : len(places)].reshape(len(seen), len(first), len(fraction))
+    seen = seen[:, : len(places)].reshape(len(seen), len(starts), len(fraction))
     keys, count = _keys(np.moveaxis(seen, 1, 0), spheres.radii)
     order = np.argsort(-count, kind="stable")
     blocks = -(-len(order) // _EDGES)
@@ -150,7 +146,7 @@ def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
     width[:blocks] = count[order][::_EDGES]
     rank = np.empty(len(order) + 1, np.int32)
     rank[order], rank[-1] = np.arange(len(order)), padded[0]
-    edge = rank[np.where(roadmap.neighbor_mask, number[own, neighbors], len(order))]
+    edge = rank[edge_numbers(roadmap, edges)]
     table = table.reshape(-1, _EDGES, padded[1]).swapaxes(1, 2)
     return jax.device_put(EdgeTable(table, width, edge))
 

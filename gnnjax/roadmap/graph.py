@@ -147,6 +147,30 @@ def connect_where(
     )
 
 
+class EachEdge(NamedTuple):
+    """The edges of a roadmap, each once, from its node of the lower number."""
+
+    first: Int[np.ndarray, " E"]  # the node of the lower number
+    second: Int[np.ndarray, " E"]
+    slot: Int[np.ndarray, " E"]  # of the first node
+
+
+def each_edge(roadmap: Roadmap) -> EachEdge:
+    """Lists the edges of a roadmap, each once."""
+    neighbors, mask = np.asarray(roadmap.neighbors), np.asarray(roadmap.neighbor_mask)
+    first, slot = np.nonzero(mask & (np.arange(len(neighbors))[:, None] < neighbors))
+    return EachEdge(first, neighbors[first, slot], slot)
+
+
+def edge_numbers(roadmap: Roadmap, edges: EachEdge) -> Int[np.ndarray, "N K"]:
+    """The number of the edge in each slot, by `each_edge`; E on padding."""
+    neighbors, num = np.asarray(roadmap.neighbors), len(edges.first)
+    table = np.full((len(neighbors), len(neighbors)), num, np.int32)
+    table[edges.first, edges.second] = table[edges.second, edges.first] = np.arange(num)
+    own = np.arange(len(neighbors))[:, None]
+    return np.where(roadmap.neighbor_mask, table[own, neighbors], num).astype(np.int32)
+
+
 def reverse_slots(roadmap: Roadmap) -> Int[Array, "N K"]:
     """For each slot, the flat index (node * K + slot) of the same edge seen from its other end."""
     num, num_slots = roadmap.neighbors.shape
