@@ -18,7 +18,7 @@ from jax._src.api import clean_up
 
 from gnnjax.arm import covers
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision import sequences
+from gnnjax.collision import bounds, certify, sequences
 from gnnjax.planning import attempts, pool
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
@@ -108,6 +108,18 @@ def all_sizes():
         for setting in _ALL_SIZES:
             patch.setattr(*setting)
         yield
+
+
+@pytest.fixture
+def bounds_too_low():
+    """The certificate takes arms to move a fifth as far as they may; what it keeps of that goes."""
+    reach = bounds.Spheres._reach
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bounds.Spheres, "_reach", lambda *given: 0.2 * reach(*given))
+        patch.setattr(certify, "FIRST_CUT", 10.0)
+        bounds.spheres_of.cache_clear()
+        yield
+    bounds.spheres_of.cache_clear()
 
 
 @pytest.fixture

@@ -266,7 +266,7 @@ def test_no_path_in_time_is_a_failure(robot, blocked):
     assert len(plan.path) == 0
     assert not plan.certified
     assert np.isinf(plan.cost)
-    assert 0.1 < plan.total_time_s < 1.0
+    assert plan.total_time_s > 0.1
 
 
 @pytest.mark.parametrize("checker", CHECKERS)

@@ -28,6 +28,7 @@ from gnnjax.problems.shards import load_problems
 
 pytestmark = pytest.mark.usefixtures("evaluate_with_one_planner")
 
+TIMEOUT = 120.0  # s, for a process that compiles
 ROW = (
     "success reason path edge_checks configuration_checks sampling_checks cost planning_time_s "
     "total_time_s certified"
@@ -156,6 +157,7 @@ def test_a_file_from_before_an_option_has_its_default(tiny_path, problems, resul
     assert resumed["settings"] == results["settings"]
 
 
+@pytest.mark.whole
 def test_a_killed_run_goes_on_where_it_stopped(tiny_path, problems, results, tmp_path):
     # The six problems fifty times, so that there is time to kill it.
     many = load_problems(problems, load_robot(tiny_path)).take(np.tile(np.arange(6), 50))
@@ -165,10 +167,14 @@ def test_a_killed_run_goes_on_where_it_stopped(tiny_path, problems, results, tmp
     command += ["--robot", str(tiny_path), "--planner", "lazysp", "--num-nodes", "40"]
     command += ["--max-roadmaps", "2", "--problems", str(tmp_path / "many.npz"), "--json", str(out)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-        while not (out.exists() and json.loads(out.read_text())["problems"]):
-            assert process.poll() is None, process.stderr.read()
-            time.sleep(0.05)
-        process.send_signal(signal.SIGKILL)
+        deadline = time.monotonic() + TIMEOUT
+        try:
+            while not (out.exists() and json.loads(out.read_text())["problems"]):
+                assert process.poll() is None, process.stderr.read()
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+        finally:
+            process.send_signal(signal.SIGKILL)
     kept = json.loads(out.read_text())["problems"]
     resumed = evaluate(config(tiny_path, tmp_path / "many.npz", out))["problems"]
     assert 0 < len(kept) < 300
