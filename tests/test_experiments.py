@@ -298,14 +298,6 @@ def test_faster_names_all_intervals():
     }
 
 
-def test_other_files_are_no_results(tmp_path):
-    with pytest.raises(InputError, match=r"run python -m experiments\.run_all"):
-        load_results(tmp_path / "none.json")
-    (tmp_path / "old.json").write_text('{"format": 0}')
-    with pytest.raises(InputError, match="format 0, this version reads 1"):
-        load_results(tmp_path / "old.json")
-
-
 def test_strata_split_by_upper_ends():
     found = split(np.array([2, 3, 4, 9, np.nan]), {"few": 3, "many": np.inf})
     assert found["few"].tolist() == [True, True, False, False, False]
