@@ -261,7 +261,7 @@ def test_a_resolution_whose_table_of_points_would_overflow_is_refused(tiny):
         make_checker(tiny, resolution=3e-4)
 
 
-def test_clearance_shapes(tiny, tiny_checker):
+def test_the_clearance_has_the_shape_of_its_configurations(tiny, tiny_checker):
     scene = random_boxes(np.random.default_rng(3), 3, rotated=True)
     q = random_configurations(np.random.default_rng(3), tiny, 6)
     clearance = jax.jit(tiny_checker.clearance)
@@ -424,7 +424,7 @@ def test_edges_leave_no_gap_wider_than_the_resolution():
     )
 
 
-def test_edges_of_no_length_and_beyond_range(tiny, tiny_edges):
+def test_edges_of_no_length_are_valid_and_those_beyond_range_are_not(tiny, tiny_edges):
     scene = jax.tree.map(jnp.asarray, make_scene([], []))
     q, bad = np.zeros((2, FEW, 3), np.float32)
     bad[::2, 1], bad[1::2, 0] = np.nan, 100.0
@@ -435,7 +435,7 @@ def test_edges_of_no_length_and_beyond_range(tiny, tiny_edges):
     assert not checks.valid.any()
 
 
-def test_edges_eager_and_vmap(tiny, tiny_checker, tiny_edges):
+def test_edges_are_tested_alike_eagerly_compiled_and_mapped(tiny, tiny_checker, tiny_edges):
     rng = np.random.default_rng(7)
     scenes = [random_boxes(rng, num, rotated=True, reach=0.7) for num in (0, 4, 8)]
     starts, ends = (random_configurations(rng, tiny, FEW) for _ in range(2))
@@ -453,7 +453,7 @@ def test_edges_eager_and_vmap(tiny, tiny_checker, tiny_edges):
 
 
 @pytest.mark.parametrize("backend", ["fused", "mjx"])
-def test_invalid_configurations(tiny, backend):
+def test_configurations_beyond_limits_or_without_numbers_are_invalid(tiny, backend):
     check = jax.jit(make_checker(tiny, backend).check_configurations)
     scene = jax.tree.map(jnp.asarray, make_scene([], []))
     q = np.zeros((6, 3), np.float32)
@@ -500,7 +500,7 @@ def test_the_spheres_around_other_geoms_notice_all_that_these_touch(tiny, tmp_pa
     assert 50 < free.sum() < 480
 
 
-def test_bisection_order():
+def test_the_order_of_tests_halves_what_is_left():
     order = bisection_order(70)
     assert order.shape == (71, 70)
     for n, row in enumerate(order):
