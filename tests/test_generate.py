@@ -153,6 +153,19 @@ def numbers(path, tiny_path):
     return np.round(100 * load_problems(path, load_robot(tiny_path)).problems.start[:, 0]).tolist()
 
 
+def test_labels_are_those_of_the_checker_that_is_asked_for(cheap, tmp_path, monkeypatch):
+    asked = []
+
+    def noted(robot, num_nodes, checker, family):
+        asked.append(checker)
+        return numbered_problems
+
+    monkeypatch.setattr(gnnjax.generate, "generate_labelled", noted)
+    generate(cheap(tmp_path / "mjx", checker="mjx"))
+    generate(cheap(tmp_path / "fused"))
+    assert asked == ["mjx", "fused"]
+
+
 @pytest.mark.parametrize("name", ["set.npz", "set"])
 def test_of_two_generators_of_one_set_the_second_is_refused(
     cheap, tiny_path, tmp_path, monkeypatch, name
