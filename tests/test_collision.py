@@ -19,35 +19,11 @@ from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
 from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
 from gnnjax.scene.scene import box_scene, make_scene
+from tests.arms import CAPSULES
 from tests.draws import random_boxes, random_configurations
 
 MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
 FEW, MANY = 5, 640  # edges at a time; each number of them is compiled
-CAPSULES = """
-<mujoco>
-  <compiler angle="radian" autolimits="true"/>
-  <default><geom contype="1" conaffinity="1" mass="1"/></default>
-  <worldbody>
-    <geom type="capsule" fromto="0 0 -0.2 0 0 0" size="0.06"/>
-    <body pos="0 0 0.1">
-      <joint axis="0 0 1" range="-3 3"/>
-      <geom type="capsule" fromto="0 0 0.1 0.1 0 0.4" size="0.05"/>
-      <body pos="0.1 0 0.45">
-        <joint axis="0 1 0" range="-2.6 2.6"/>
-        <geom type="sphere" pos="0 0.04 0.15" size="0.06"/>
-        <body pos="0 0 0.3">
-          <joint axis="0.6 0.8 0" range="-2.6 2.6"/>
-          <geom type="capsule" fromto="0 0 0.05 0.05 0 0.3" size="0.04"/>
-          <body pos="0.05 0 0.35">
-            <joint axis="0 1 0" range="-2.6 2.6"/>
-            <geom type="capsule" fromto="-0.1 0 0.12 0.15 0.02 0.14" size="0.03"/>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
 
 
 class Engine:

@@ -22,7 +22,7 @@ from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import check_options
 from gnnjax.problems.families import BOX_FAMILIES
 from tests.fine_scan import random_scene
-from tests.test_throughput import StandIn
+from tests.stand_in import StandIn
 
 
 @pytest.fixture(scope="module")

@@ -16,44 +16,13 @@ from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.mujoco_world import deepest_contact
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
-
-# Links of all kinds that are no spheres, and two that can reach the first.
-ARM = """
-<mujoco>
-  <compiler angle="radian" autolimits="true"/>
-  <default><geom contype="1" conaffinity="1" mass="1"/></default>
-  <asset>
-    <mesh name="wedge" vertex="0 -.04 -.05 .25 -.04 -.02 .25 .04 -.02 0 .04 -.05 0 0 .06"/>
-  </asset>
-  <worldbody>
-    <body name="foot">
-      <geom type="box" size="0.08 0.08 0.05"/>
-      <body name="mast" pos="0 0 0.06">
-        <joint axis="0 0 1" range="-3 3"/>
-        <geom type="cylinder" fromto="0 0 0 0 0 0.35" size="0.05"/>
-        <body name="boom" pos="0 0 0.4">
-          <joint axis="0 1 0" range="-2.5 2.5"/>
-          <geom type="box" pos="0.15 0 0" size="0.15 0.03 0.04"/>
-          <body name="jib" pos="0.33 0 0">
-            <joint axis="0 0 1" range="-2.8 2.8"/>
-            <geom type="mesh" mesh="wedge"/>
-            <body name="tip" pos="0.28 0 0">
-              <joint axis="0 1 0" range="-2.5 2.5"/>
-              <geom type="capsule" fromto="0.03 0 0 0.15 0 0" size="0.03"/>
-            </body>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+from tests.arms import CRANE
 
 
 @pytest.fixture(scope="module")
 def crane(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "crane.xml"
-    path.write_text(ARM)
+    path.write_text(CRANE)
     return load_robot(path)
 
 

@@ -14,35 +14,10 @@ from experiments.throughput import EXPERIMENT, Contender, ThroughputConfig
 from experiments.turns import folder_of, kept, summarize, summarize_turn
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
-from gnnjax.planning.query import Plan, make_plan, plan_valid
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.scene import box_scene
-
-
-class StandIn:
-    """A planner that solves by a straight line what does not start at a third of the way."""
-
-    radius = None
-
-    def __init__(self, robot):
-        self.robot, self.batches = robot, []
-
-    def warm_up(self, scene, batch_size=1):
-        pass
-
-    def plan_batch(self, problems, *, seed=0):
-        return plan_valid(self.robot, problems, 0.0, self._search)
-
-    def _search(self, problems):
-        self.batches.append(len(problems.start))
-        return [self._plan(q, p) for q, p in zip(problems.start, problems.goal, strict=True)]
-
-    def _plan(self, start, goal) -> Plan:
-        costs = {"edge_checks": 1, "sampling_checks": 2, "search_checks": 7, "roadmaps": 1}
-        times = {"planning_time_s": 0.5, "total_time_s": 0.5}
-        path = None if start[0] == np.float32(0.5) else np.stack([start, goal])
-        return make_plan(path, "no path", self.robot.num_dof, **costs, **times)
+from tests.stand_in import StandIn
 
 
 @pytest.fixture
