@@ -6,12 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from experiments import contenders, throughput, turns
-from experiments.contenders import Turn
+from experiments import contenders, throughput
 from experiments.record import run
 from experiments.results import load_results
 from experiments.throughput import EXPERIMENT, Contender, ThroughputConfig
-from experiments.turns import folder_of, kept, summarize, summarize_turn
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.problems.file import save_problems
@@ -114,22 +112,6 @@ def test_contenders_stand_beside_their_rivals():
     assert throughput.compared_pool((512, 1024)) == 512
 
 
-def test_summaries_leave_out_what_was_refused(tiny_path):
-    planner = StandIn(load_robot(tiny_path))
-    solved, failed = (planner._plan(np.full(3, at, np.float32), np.ones(3)) for at in (0, 0.5))
-    uncertified = solved._replace(certified=False, cost=5.0, configuration_checks=30)
-    refused = failed._replace(valid=False)
-    columns = summarize_turn(Turn(2.0, 0.5, [solved, failed, uncertified, refused]))
-    row = summarize([columns, columns | {"wall_s": 1.0}])
-    assert row["per_s"] == [1.5, 3.0]
-    assert (row["success_of_all"], row["success"]) == pytest.approx((1 / 2, 2 / 3))
-    assert row["certified_paths"] == 0.5
-    assert row["cost"]["mean"] == pytest.approx((np.sqrt(3) + 5) / 2)
-    assert row["configuration_checks"]["mean"] == pytest.approx((9 + 9 + 30) / 3)
-    assert row["total_time_s"]["mean"] == pytest.approx(0.5)
-    assert row["cores"] == [0.5, 0.5]
-
-
 def test_a_verdict_compares_within_turns():
     def row(planner, pool, per_s):
         # RRT-Connect keeps both cores busy, the others one.
@@ -151,16 +133,3 @@ def test_a_verdict_compares_within_turns():
     assert "simplified, and 2.50 times as many a second of CPU time" in held
     assert "0.33 times RRT-Connect, and 0.67 times as many a second of CPU time." in failed
     assert "2.00 times as many (guided, all accepted problems)" in failed
-
-
-def test_what_was_kept_is_not_measured_again(tmp_path):
-    assert kept(tmp_path / "folder" / "one.json", lambda: [1]) == [1]
-    assert kept(tmp_path / "folder" / "one.json", lambda: [2]) == [1]
-
-
-def test_what_other_code_or_other_settings_have_measured_lies_elsewhere(tmp_path, monkeypatch):
-    found = [folder_of(tmp_path, "one", settings) for settings in (1, 1, 2)]
-    monkeypatch.setattr(turns, "_code", lambda: "of yesterday")
-    found.append(folder_of(tmp_path, "one", 1))
-    assert found[0] == found[1]
-    assert len(set(found)) == 3
