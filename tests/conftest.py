@@ -169,8 +169,8 @@ def pytest_collection_finish():
 _LONG = (
     "collision mjx families cloud_checks timing planner train guided_planner experiments evaluate "
     "fit guides holding engine model allowed accelerator wide_joints certify_campaign mjcf "
-    "train_motion classical torques urdf ablation real_arm obstacles search digest sequences processes "
-    "benchmark_collision mutations motion rounds certify"
+    "train_motion classical torques urdf ablation real_arm obstacles search digest sequences "
+    "processes benchmark_collision mutations motion rounds certify"
 ).split()
 
 
