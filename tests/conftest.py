@@ -184,9 +184,9 @@ def pytest_collection_finish():
 # Files that take longest come first, so that no worker is left with one of them at the end.
 _LONG = (
     "edges collision mjx families cloud_checks timing planner train guided_planner experiments "
-    "evaluate fit guides holding engine model allowed accelerator wide_joints certify_campaign mjcf "
-    "train_motion classical torques urdf ablation real_arm obstacles search digest sequences "
-    "processes benchmark_collision mutations motion rounds certify"
+    "evaluate fit guides holding engine model allowed accelerator wide_joints certify_campaign "
+    "mjcf train_motion classical torques urdf ablation real_arm obstacles search digest "
+    "sequences processes benchmark_collision mutations motion rounds certify"
 ).split()
 
 

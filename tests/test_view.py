@@ -19,7 +19,7 @@ from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.view import ViewConfig, main, open_page
 from gnnjax.viewer.answers import state_at
 from gnnjax.viewer.frames import Frames
-from tests.test_viewer import GOAL, SHAPES, START, TIMEOUT
+from tests.viewed import GOAL, SHAPES, START, TIMEOUT
 
 pytest.importorskip("viser", reason="the view extra is not installed")
 
