@@ -18,10 +18,11 @@ from jax._src.api import clean_up
 
 from gnnjax.arm import covers
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision import sequences
+from gnnjax.collision import bounds, certify, sequences, spheres
 from gnnjax.planning import attempts, pool
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
+from tests.arms import CAPSULES
 
 # Arms that tests make up have few spheres a part, which leave more to the parts themselves.
 covers._MOST = 3
@@ -72,6 +73,21 @@ def tiny(tiny_path):
     return load_robot(tiny_path)
 
 
+@pytest.fixture(scope="session")
+def capsules(tmp_path_factory):
+    """An arm of capsules and a sphere, that meets itself."""
+    path = tmp_path_factory.mktemp("robots") / "capsules.xml"
+    path.write_text(CAPSULES)
+    return load_robot(path)
+
+
+@pytest.fixture
+def in_tables(monkeypatch):
+    """As of arms with many spheres: several passes, and tables of pairs with some in a row."""
+    for name, value in {"_MOST_IN_CODE": 0, "_PAIRS_A_ROW": 16, "_SPHERES_A_PASS": 16}.items():
+        monkeypatch.setattr(spheres, name, value)
+
+
 @pytest.fixture(scope="module")
 def planner_once():
     """Makes `robot, options -> planner`, one of each for a module, so that each is traced once."""
@@ -108,6 +124,18 @@ def all_sizes():
         for setting in _ALL_SIZES:
             patch.setattr(*setting)
         yield
+
+
+@pytest.fixture
+def bounds_too_low():
+    """The certificate takes arms to move a fifth as far as they may; what it keeps of that goes."""
+    reach = bounds.Spheres._reach
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bounds.Spheres, "_reach", lambda *given: 0.2 * reach(*given))
+        patch.setattr(certify, "FIRST_CUT", 10.0)
+        bounds.spheres_of.cache_clear()
+        yield
+    bounds.spheres_of.cache_clear()
 
 
 @pytest.fixture
@@ -155,10 +183,10 @@ def pytest_collection_finish():
 
 # Files that take longest come first, so that no worker is left with one of them at the end.
 _LONG = (
-    "collision mjx families cloud_checks timing planner train guided_planner experiments evaluate "
-    "fit guides holding engine model allowed accelerator turns certify_campaign mjcf train_motion "
-    "classical torques urdf ablation real_arm obstacles search digest sequences processes "
-    "benchmark_collision mutations motion rounds certify"
+    "edges collision mjx families cloud_checks timing planner train guided_planner experiments "
+    "evaluate fit guides holding engine model allowed accelerator wide_joints certify_campaign "
+    "mjcf train_motion classical torques urdf ablation real_arm obstacles search digest "
+    "sequences processes benchmark_collision mutations motion rounds certify"
 ).split()
 
 

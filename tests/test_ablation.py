@@ -21,7 +21,7 @@ from gnnjax.train import PRESETS, train
 from gnnjax.training.weights import save_network
 
 
-def test_variants_share_the_budget_of_theirtraining():
+def test_variants_share_the_budget_of_their_training():
     config = AblationConfig()
     for name, changes in variants(config).items():
         made = training(config, name, PRESETS["default"].data, "kuka_iiwa14", changes)

@@ -16,7 +16,7 @@ from gnnjax.planning.guided import Guided
 from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.query import path_length
-from tests.test_guided_planner import random_problem
+from tests.queries import random_problem
 
 NUM = 24
 

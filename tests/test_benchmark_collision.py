@@ -71,7 +71,7 @@ def test_operations_are_counted_once_a_turn():
     assert counts == {"sine": 5, "multiply": 5, "add": 5, "sqrt": 1}
 
 
-def test_unusable_sizes(tiny_path):
+def test_sizes_that_cannot_be_are_refused(tiny_path):
     for wrong in ({"boxes": 0}, {"batch": 10, "mjx_batch": 20, "engine_batch": 5}):
         with pytest.raises(InputError, match="must"):
             main(BenchmarkConfig(robot=str(tiny_path), **wrong))

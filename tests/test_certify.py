@@ -19,8 +19,8 @@ from gnnjax.collision.travel import Moments, straight_motions
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_query
 from gnnjax.scene.scene import make_scene
+from tests.arms import ODD
 from tests.fine_scan import collides_anywhere, random_scene
-from tests.odd_arm import ODD
 
 
 @pytest.fixture(scope="module")

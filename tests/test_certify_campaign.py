@@ -10,7 +10,6 @@ from experiments.campaign_edges import draw_shapes
 from experiments.certify_campaign import CampaignConfig, make_arms, measure_block, run
 from experiments.engine import Engine
 from experiments.judge import Judge
-from gnnjax.collision import bounds, certify
 from gnnjax.scene.scene import scene_from_shapes
 
 
@@ -102,14 +101,10 @@ def test_an_arm_has_the_same_edges_whatever_others_there_are(
     assert len(measured) == 4
 
 
-def test_a_certificate_that_bounds_motion_too_low_is_refuted(arms, monkeypatch):
+@pytest.mark.usefixtures("bounds_too_low")
+def test_a_certificate_that_bounds_motion_too_low_is_refuted(arms):
     arm = arms["kinova_gen3"]
-    reach = bounds.Spheres._reach
-    monkeypatch.setattr(bounds.Spheres, "_reach", lambda *given: 0.2 * reach(*given))
-    monkeypatch.setattr(certify, "FIRST_CUT", 10.0)
-    bounds.spheres_of.cache_clear()
     found = measure_block(arm, (1,), 60, 0.01)
-    bounds.spheres_of.cache_clear()
     assert len(found["refuted"]) >= 2
 
 

@@ -10,7 +10,6 @@ from experiments import certify_curves, turns
 from experiments.certify_curves import CurvesConfig, measure_block, run
 from experiments.judge import Arm
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision import bounds, certify
 from gnnjax.collision.certify import certify_path
 from gnnjax.planning.query import make_plan
 
@@ -78,13 +77,9 @@ def test_curves_that_an_older_certificate_went_through_do_not_count(tmp_path, mo
     assert len(measured) == 5
 
 
-def test_a_certificate_that_bounds_motion_too_low_is_refuted(tiny_path, monkeypatch):
+@pytest.mark.usefixtures("bounds_too_low")
+def test_a_certificate_that_bounds_motion_too_low_is_refuted(tiny_path):
     robot = load_robot(tiny_path)
-    reach = bounds.Spheres._reach
-    monkeypatch.setattr(bounds.Spheres, "_reach", lambda *given: 0.2 * reach(*given))
-    monkeypatch.setattr(certify, "FIRST_CUT", 10.0)
-    bounds.spheres_of.cache_clear()
     found = measure_block(Arm(robot, reach=0.7), Random(robot), (1,), 0.02)
-    bounds.spheres_of.cache_clear()
     assert len(found["refuted"]) >= 2
     assert {row["kind"] for row in found["refuted"]} <= {"plain", "pushed"}

@@ -26,15 +26,15 @@ from gnnjax.scene.own_points import distances_to_hull
 from gnnjax.scene.scene import inflated, scene_from_shapes, without_points
 from gnnjax.scene.shapes import box
 from gnnjax.scene.surfaces import scene_from_points
+from tests.arms import CRANE
 from tests.clouds import draw
 from tests.draws import random_configurations
-from tests.test_hulls import ARM
 
 
 @pytest.fixture(scope="module")
 def crane(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "crane.xml"
-    path.write_text(ARM)
+    path.write_text(CRANE)
     return load_robot(path)
 
 

@@ -1,188 +1,26 @@
-"""Collision checking against MuJoCo's C engine, and edges against a plain loop."""
-
-from collections import deque
+"""Collision checking against MuJoCo's C engine."""
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 
-from gnnjax.arm.kinematics import joint_terms
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision import spheres
 from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
-from gnnjax.collision.edges import bisection_order
-from gnnjax.collision.edges import test_edges as cut_and_test
 from gnnjax.collision.exact import SIMPLER
 from gnnjax.collision.fused import boxes_clear
 from gnnjax.errors import InputError
-from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
-from gnnjax.scene.scene import box_scene, make_scene
+from gnnjax.scene.scene import make_scene
+from tests.c_engine import MARGIN, Engine
 from tests.draws import random_boxes, random_configurations
 
-MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
-FEW, MANY = 5, 640  # edges at a time; each number of them is compiled
-CAPSULES = """
-<mujoco>
-  <compiler angle="radian" autolimits="true"/>
-  <default><geom contype="1" conaffinity="1" mass="1"/></default>
-  <worldbody>
-    <geom type="capsule" fromto="0 0 -0.2 0 0 0" size="0.06"/>
-    <body pos="0 0 0.1">
-      <joint axis="0 0 1" range="-3 3"/>
-      <geom type="capsule" fromto="0 0 0.1 0.1 0 0.4" size="0.05"/>
-      <body pos="0.1 0 0.45">
-        <joint axis="0 1 0" range="-2.6 2.6"/>
-        <geom type="sphere" pos="0 0.04 0.15" size="0.06"/>
-        <body pos="0 0 0.3">
-          <joint axis="0.6 0.8 0" range="-2.6 2.6"/>
-          <geom type="capsule" fromto="0 0 0.05 0.05 0 0.3" size="0.04"/>
-          <body pos="0.05 0 0.35">
-            <joint axis="0 1 0" range="-2.6 2.6"/>
-            <geom type="capsule" fromto="-0.1 0 0.12 0.15 0.02 0.14" size="0.03"/>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-
-
-class Engine:
-    """MuJoCo's C engine: one world, whose boxes move from scene to scene."""
-
-    def __init__(self, robot, max_boxes=10, margin=MARGIN):
-        self.model = build_world(robot, max_boxes)
-        self.model.geom_margin[:] = margin
-        self.model.body_margin[:] = margin
-        self.data = mujoco.MjData(self.model)
-        self.boxes = obstacles(self.model, max_boxes).geoms
-
-    def place(self, scene):
-        place_boxes(self.model, self.data, scene)
-
-    def move(self, q):
-        self.data.qpos[:] = q
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-
-    def gap(self, q):
-        """Least contact distance, m; `MARGIN` or more without contacts."""
-        self.move(q)
-        mujoco.mj_collision(self.model, self.data)
-        return min(self.data.contact.dist[: self.data.ncon], default=np.inf)
-
-    def gaps(self, q):
-        return np.array([self.gap(row) for row in np.asarray(q, float)])
-
-    def box_distance(self, geom, box):
-        other = int(self.boxes[box])
-        return mujoco.mj_geomDistance(self.model, self.data, geom, other, 10.0, None)
-
-    def clearance(self, robot, scene, q):
-        """Least true distance, pair by pair, m."""
-        self.move(np.asarray(q, float))
-        weld = self.model.body_weldid[self.model.geom_bodyid]
-        moving = [g for g in robot.geom_ids.tolist() if weld[g]]
-        found = [self.box_distance(g, i) for g in moving for i in np.flatnonzero(scene.mask)]
-        for i, j in robot.geom_ids[robot.self_pairs].tolist():
-            found.append(mujoco.mj_geomDistance(self.model, self.data, i, j, 10.0, None))
-        return min(found)
-
-
-@pytest.fixture(scope="module")
-def tiny_checker(tiny):
-    return make_checker(tiny)
-
-
-@pytest.fixture(scope="module")
-def tiny_edges(tiny_checker):
-    return jax.jit(tiny_checker.check_edges)
-
-
-@pytest.fixture(scope="module")
-def capsules(tmp_path_factory):
-    path = tmp_path_factory.mktemp("robots") / "capsules.xml"
-    path.write_text(CAPSULES)
-    return load_robot(path)
+MANY = 640  # edges at a time; each number of them is compiled
 
 
 def assert_verdicts_agree(valid, gaps, strict=0.0):
     """A checker may be so strict as to refuse what is nearer than that, in m, to contact."""
     wrong = (np.asarray(valid) != (gaps > 0)) & ((gaps < -1e-4) | (gaps > strict + 1e-4))
     assert not wrong.any(), f"{wrong.sum()} disagree, C distances {gaps[wrong][:5]}"
-
-
-@pytest.fixture
-def in_tables(monkeypatch):
-    """As of arms with many spheres: several passes, and tables of pairs with some in a row."""
-    for name, value in {"_MOST_IN_CODE": 0, "_PAIRS_A_ROW": 16, "_SPHERES_A_PASS": 16}.items():
-        monkeypatch.setattr(spheres, name, value)
-
-
-def test_tables_say_what_straight_line_code_does(capsules, request):
-    rng = np.random.default_rng(5)
-    scene = random_boxes(rng, 3, rotated=True)
-    q = random_configurations(rng, capsules, 600)
-    q[5, 1] = np.nan
-    found = []
-    for _ in range(2):
-        checker = make_checker(capsules)
-        assert checker.levels is not None
-        clear = checker.levels.second.clear_of_itself
-        found.append(
-            (
-                jax.jit(checker.check_configurations)(scene, q),
-                jax.jit(checker.clearance)(scene, q),
-                jax.jit(checker.clearance)(random_boxes(rng, 0), q),  # to itself alone
-                jax.jit(clear)(q[:64], np.arange(64) % 3 > 0),
-            )
-        )
-        request.getfixturevalue("in_tables")
-    for code, tables in zip(*found, strict=True):
-        same = np.asarray(tables, float), np.asarray(code, float)
-        np.testing.assert_allclose(*same, atol=1e-6)
-    assert 0 < found[0][0].mean() < 1
-
-
-def test_the_clearance_of_small_balls_far_from_each_other_is_that_by_tables_too(tmp_path, request):
-    link = '<body pos="0 0 {}"><joint axis="{}" range="-3 3"/><geom size="0.06" pos="0 0 0.5"/>'
-    links = [link.format(*x) for x in ((0, "0 1 0"), (0.5, "1 0 0"), (0.5, "0 1 0"))]
-    path = tmp_path / "balls.xml"
-    path.write_text(
-        '<mujoco><compiler angle="radian"/><worldbody><geom size="0.03" pos="0 0 0.1"/>'
-        f"{''.join(links)}{'</body>' * 3}</worldbody></mujoco>"
-    )
-    balls, rng, found = load_robot(path), np.random.default_rng(7), []
-    q = random_configurations(rng, balls, 400)
-    for _ in range(2):
-        checker = make_checker(balls)
-        tests = checker.clearance, checker.check_configurations
-        found.append([np.asarray(jax.jit(test)(random_boxes(rng, 0), q), float) for test in tests])
-        request.getfixturevalue("in_tables")
-    for code, tables in zip(*found, strict=True):
-        np.testing.assert_allclose(tables, code, atol=1e-6)
-    assert (found[0][0] > 0.3).any()
-    assert (found[0][1] == 0).any()
-
-
-def test_a_row_is_of_two_links_and_its_balls_hold_its_spheres(capsules, in_tables):
-    table = spheres.pair_table(capsules)
-    assert {frozenset(x) for x in table.pairs.reshape(-1, 2).tolist()} == {
-        frozenset(x) for x in capsules.self_pairs.tolist()
-    }
-    for q in random_configurations(np.random.default_rng(6), capsules, 20):
-        centers = np.array(
-            spheres.sphere_centers(capsules, joint_terms(capsules, jnp.asarray(q, jnp.float32)))
-        )
-        far, apart = (
-            np.linalg.norm(centers[x[..., 0]] - centers[x[..., 1]], axis=-1)
-            for x in (table.near, table.pairs)
-        )
-        gaps = (apart - capsules.geom_radii[table.pairs].sum(axis=-1)).min(axis=1)
-        assert (gaps >= far - table.reach - 1e-6).all()
 
 
 @pytest.mark.parametrize(
@@ -261,10 +99,10 @@ def test_a_resolution_whose_table_of_points_would_overflow_is_refused(tiny):
         make_checker(tiny, resolution=3e-4)
 
 
-def test_clearance_shapes(tiny, tiny_checker):
+def test_the_clearance_has_the_shape_of_its_configurations(tiny):
     scene = random_boxes(np.random.default_rng(3), 3, rotated=True)
     q = random_configurations(np.random.default_rng(3), tiny, 6)
-    clearance = jax.jit(tiny_checker.clearance)
+    clearance = jax.jit(make_checker(tiny).clearance)
     two, each = clearance(scene, q.reshape(2, 3, -1)), [clearance(scene, row) for row in q]
     assert two.shape == (2, 3)
     assert each[0].shape == ()
@@ -297,75 +135,6 @@ def test_boxes_ignore_each_other_and_the_base(tiny):
     assert contacts > 0
 
 
-def plain_check_edge(engine, robot, start, end):
-    """Tests an edge point by point: `(valid, number of points tested)`."""
-    start, end = (np.asarray(x, np.float32) for x in (start, end))
-    if tuple(start) > tuple(end):
-        start, end = end, start
-    length = np.linalg.norm(end - start)
-    intervals = max(1, int(np.ceil(length / np.float32(EDGE_RESOLUTION))))
-    num_checks = 0
-    stretches = deque([(0, intervals)])
-    while stretches:
-        low, high = stretches.popleft()
-        middle = (low + high) // 2
-        if middle == low:
-            continue
-        stretches += [(low, middle), (middle, high)]
-        num_checks += 1
-        q = start + np.float32(middle) / np.float32(intervals) * (end - start)
-        if engine.gap(q) <= 0:
-            return False, num_checks
-    return True, num_checks
-
-
-def test_edges_match_plain_loop(tiny, tiny_edges):
-    rng = np.random.default_rng(5)
-    scene = random_boxes(rng, 2, rotated=True)
-    engine = Engine(tiny)
-    engine.place(scene)
-    starts, ends = (random_configurations(rng, tiny, 200) for _ in range(2))
-    # Long and short edges.
-    ends = starts + (ends - starts) * np.linspace(0.02, 1, 200, dtype=np.float32)[:, None]
-    expected = [plain_check_edge(engine, tiny, s, e) for s, e in zip(starts, ends, strict=True)]
-    valid, num_checks = (np.array(column) for column in zip(*expected, strict=True))
-    assert 20 < valid.sum() < 180
-    for there, back in ((starts, ends), (ends, starts)):
-        checks = tiny_edges(scene, *(np.resize(x, (MANY, 3)) for x in (there, back)))
-        np.testing.assert_array_equal(checks.valid, np.resize(valid, MANY))
-        np.testing.assert_array_equal(checks.num_checks, np.resize(num_checks, MANY))
-    # Few edges are tested in other blocks than many.
-    few = tiny_edges(scene, starts[-FEW:], ends[-FEW:])
-    np.testing.assert_array_equal(few.valid, valid[-FEW:])
-    np.testing.assert_array_equal(few.num_checks, num_checks[-FEW:])
-
-
-def test_many_edges_come_to_what_few_come_to(tiny, tiny_checker, tiny_edges):
-    """More than wait in the queue at a time, of all lengths, some of which cannot be tested."""
-    rng = np.random.default_rng(8)
-    scenes = [random_boxes(rng, num, rotated=True) for num in (0, 2)]
-    starts, ends = np.array([random_configurations(rng, tiny, MANY) for _ in range(2)])
-    ends = starts + (ends - starts) * rng.random((MANY, 1), np.float32) ** 2
-    ends[::50] = starts[::50]
-    ends[7::100, 1], ends[9::100, 0] = np.nan, 100.0
-    at_once = jax.jit(jax.vmap(tiny_checker.check_edges, in_axes=(0, None, None)))(
-        jax.tree.map(lambda *x: np.stack(x), *scenes), starts, ends
-    )
-    for number, scene in enumerate(scenes):
-        parts = [
-            tiny_edges(scene, starts[first : first + 64], ends[first : first + 64])
-            for first in range(0, MANY, 64)
-        ]
-        few = jax.tree.map(lambda *x: np.concatenate(x), *parts)
-        many = tiny_edges(scene, starts, ends)
-        for found in (many, jax.tree.map(lambda x, i=number: x[i], at_once)):
-            np.testing.assert_array_equal(found.valid, few.valid)
-            np.testing.assert_array_equal(found.num_checks, few.num_checks)
-        assert MANY // 4 < few.valid.sum() < MANY - MANY // 50
-        assert not few.valid[7::100].any()
-        assert not few.valid[9::100].any()
-
-
 def test_what_configurations_prove_of_others_is_what_testing_these_finds(capsules, check_capsules):
     """Of edges of all lengths, some of which cannot be tested, of an arm that also meets itself."""
     rng, proven = np.random.default_rng(9), jax.jit(make_checker(capsules).edges_free)
@@ -396,64 +165,8 @@ def test_what_configurations_prove_of_others_is_what_testing_these_finds(capsule
         assert MANY // 16 < expected.sum() < MANY - MANY // 25
 
 
-def test_edges_leave_no_gap_wider_than_the_resolution():
-    # An obstacle a bit wider than the resolution, anywhere on the edge, must be found, and a free
-    # edge must take no more tests than that needs.
-    order = bisection_order(80)
-
-    def check(scene, q):
-        return jnp.abs(q[:, 0] - scene.centers[0, 0]) > EDGE_RESOLUTION / 2 + 1e-5
-
-    def edge(target, length):
-        scene = box_scene(
-            jnp.full((1, 3), target), jnp.ones((1, 3)), jnp.ones((1, 4)), jnp.ones(1, bool)
-        )
-        start, end = jnp.zeros((1, 1)), jnp.full((1, 1), length)
-        return cut_and_test(check, order, EDGE_RESOLUTION, scene, start, end)
-
-    lengths = np.random.default_rng(6).uniform(0.06, 3.9, 40).astype(np.float32)
-    lengths = np.repeat(lengths, 50)
-    inside = np.tile(np.linspace(0, 1, 50, dtype=np.float32), 40)
-    targets = EDGE_RESOLUTION / 2 + inside * (lengths - EDGE_RESOLUTION)
-    checks = jax.jit(jax.vmap(edge))(targets.astype(np.float32), lengths)
-    assert not checks.valid.any()
-    free = jax.jit(jax.vmap(edge))(np.full_like(lengths, 100), lengths)
-    assert free.valid.all()
-    np.testing.assert_array_equal(
-        free.num_checks[:, 0], np.ceil(lengths / np.float32(EDGE_RESOLUTION)) - 1
-    )
-
-
-def test_edges_of_no_length_and_beyond_range(tiny, tiny_edges):
-    scene = jax.tree.map(jnp.asarray, make_scene([], []))
-    q, bad = np.zeros((2, FEW, 3), np.float32)
-    bad[::2, 1], bad[1::2, 0] = np.nan, 100.0
-    checks = tiny_edges(scene, q, q)
-    assert checks.valid.all()
-    assert not checks.num_checks.any()
-    checks = tiny_edges(scene, q, bad)
-    assert not checks.valid.any()
-
-
-def test_edges_eager_and_vmap(tiny, tiny_checker, tiny_edges):
-    rng = np.random.default_rng(7)
-    scenes = [random_boxes(rng, num, rotated=True, reach=0.7) for num in (0, 4, 8)]
-    starts, ends = (random_configurations(rng, tiny, FEW) for _ in range(2))
-    eager = tiny_checker.check_edges(scenes[1], jnp.asarray(starts), jnp.asarray(ends))
-    jitted = [tiny_edges(scene, starts, ends) for scene in scenes]
-    stacked = jax.tree.map(lambda *x: np.stack(x), *scenes)
-    mapped = jax.jit(jax.vmap(tiny_checker.check_edges, in_axes=(0, None, None)))(
-        stacked, starts, ends
-    )
-    for field in range(2):
-        np.testing.assert_array_equal(eager[field], jitted[1][field])
-        for s in range(3):
-            np.testing.assert_array_equal(mapped[field][s], jitted[s][field])
-    assert 0 < mapped.valid.sum() < mapped.valid.size
-
-
 @pytest.mark.parametrize("backend", ["fused", "mjx"])
-def test_invalid_configurations(tiny, backend):
+def test_configurations_beyond_limits_or_without_numbers_are_invalid(tiny, backend):
     check = jax.jit(make_checker(tiny, backend).check_configurations)
     scene = jax.tree.map(jnp.asarray, make_scene([], []))
     q = np.zeros((6, 3), np.float32)
@@ -498,18 +211,3 @@ def test_the_spheres_around_other_geoms_notice_all_that_these_touch(tiny, tmp_pa
         truth.append(min(engine.box_distance(3, i) for i in range(5)))
     assert (np.array(truth)[free] > 0).all()
     assert 50 < free.sum() < 480
-
-
-def test_bisection_order():
-    order = bisection_order(70)
-    assert order.shape == (71, 70)
-    for n, row in enumerate(order):
-        inner = max(n - 1, 0)
-        assert sorted(row[:inner]) == list(range(1, n))
-        assert not row[inner:].any()
-    assert order[8, :7].tolist() == [4, 2, 6, 1, 3, 5, 7]
-    # After 2^k - 1 tests no stretch longer than n / 2^k, rounded up, is left.
-    for n in (17, 40, 64):
-        for k in range(1, 5):
-            tested = np.sort(np.concatenate([[0, n], order[n, : 2**k - 1]]))
-            assert np.diff(tested).max() <= -(-n // 2**k)

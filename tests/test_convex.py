@@ -238,7 +238,7 @@ def test_a_capsule_passes_a_cylinders_rim():
 
 
 @pytest.mark.parametrize(("height", "free"), [(6e-5, True), (-1e-5, False), (0.0, False)])
-def test_flat_hulls_and_boxes(height, free):
+def test_flat_hulls_and_boxes_that_touch_are_not_free(height, free):
     square = small([[x, y, 0.0] for x in (-0.1, 0.1) for y in (-0.1, 0.1)], 0.0)
     plate = (0.05, 0.3, 0.0)
     assert (gap(square, [0.0, 0.0, height], box=plate) > 0.0) == (free or height < 0)

@@ -15,17 +15,7 @@ from gnnjax.trajectory.dynamics import (
     inverse_dynamics_by_mujoco,
     path_dynamics,
 )
-from tests.test_certify import ODD
-
-# Armature, damping, a spring, a body whose weight is compensated, gravity that is askew.
-HEAVY = (
-    ODD.replace("<mujoco>", '<mujoco><option gravity="1 -2 -9"/>', 1)
-    .replace(
-        'range="-3 3"', 'range="-3 3" armature="0.3" damping="2" stiffness="5" springref="0.4"'
-    )
-    .replace('<body pos="0.2 0 0"', '<body gravcomp="0.7" pos="0.2 0 0"')
-    .replace('fromto="0 0 0 0.2 0 0.1" mass="1"', 'fromto="0 0 0 0.2 0 0.1" mass="3"')
-)
+from tests.arms import HEAVY, ODD
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from gnnjax.planning.engine import Run
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
 from gnnjax.planning.progress import Limits
-from tests.test_guided_planner import check_path, one, random_problem, same
+from tests.queries import check_path, one, random_problem, same
 
 pytestmark = pytest.mark.usefixtures("all_sizes")
 

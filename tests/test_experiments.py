@@ -1,4 +1,4 @@
-"""The experiments run, go on where they were cut off, and sum up as plain NumPy does."""
+"""The experiments run, and go on where they were cut off."""
 
 import dataclasses
 import functools
@@ -22,17 +22,13 @@ from experiments.bounds import (
 from experiments.cases import CLASSICAL, GUIDED, OURS, classical_case, nodes_of, own_case
 from experiments.hard import strata_table
 from experiments.measure import ExperimentConfig
-from experiments.price import FINE, Timed, crossovers, faster, total_times, without_overhead
 from experiments.record import run
 from experiments.registry import EXPERIMENTS
 from experiments.results import load_results
-from experiments.statistics import statistics, summarize_seeds
-from experiments.strata import split
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import generate
 from gnnjax.guide.motion import MotionNetwork
-from gnnjax.measure.rows import QUANTITIES
 from gnnjax.planning.load import load_planner
 from gnnjax.problems.families import FAMILIES
 from gnnjax.training.weights import save_network
@@ -163,149 +159,6 @@ def test_networks_are_asked_about_the_edges_of_roadmaps(tiny_path, folder, monke
     assert sum(line.startswith("|") for line in lines) == 2 + len(results["rows"])
 
 
-def test_the_pareto_front_leaves_out_what_costs_more_for_less():
-    points = [(3.0, 0.7), (1.0, 0.5), (2.0, 0.4), (3.0, 0.8), (4.0, 0.8)]
-    assert predictor.pareto(points) == [(1.0, 0.5), (3.0, 0.8)]
-
-
-def some_rows(rng, num: int) -> list[dict]:
-    """Rows of one seed; the same problems are valid and hard for each seed."""
-    rows = []
-    for index in range(num):
-        success = bool(rng.random() < 0.8)
-        rows.append(
-            {
-                "index": index,
-                "valid": index != 3,
-                "hard": index % 2 == 0,
-                "success": success,
-                "certified": success,
-                "roadmaps": int(rng.integers(1, 3)),
-                "cost": float(rng.uniform(2, 9)) if success else None,
-                "edge_checks": None,
-                **{
-                    name: float(rng.uniform(0, 100))
-                    for name in QUANTITIES
-                    if name not in ("cost", "edge_checks")
-                },
-            }
-        )
-    return rows
-
-
-def test_summaries_over_seeds_are_those_of_the_rows():
-    rng = np.random.default_rng(1)
-    seeds = [some_rows(rng, 20) for _ in range(3)]
-    summary = summarize_seeds(seeds, keep=lambda index: index < 15)
-    assert (summary["num_problems"], summary["num_seeds"], summary["num_invalid"]) == (20, 3, 1)
-    for stratum in ("all", "hard"):
-        chosen = [
-            row
-            for seed in seeds
-            for row in seed
-            if row["valid"] and row["index"] < 15 and (row["hard"] or stratum == "all")
-        ]
-        part = summary[stratum]
-        assert part["num_problems"] == len(chosen) / 3
-        costs = [row["cost"] for row in chosen if row["success"]]
-        checks = [row["configuration_checks"] for row in chosen]
-        for name, values in {"cost": costs, "configuration_checks": checks}.items():
-            assert part[name]["mean"] == pytest.approx(np.mean(values))
-            assert part[name]["median"] == pytest.approx(np.median(values))
-            assert part[name]["p95"] == pytest.approx(np.quantile(values, 0.95))
-            assert part[name]["low"] < part[name]["mean"] < part[name]["high"]
-        assert part["edge_checks"] is None
-        assert part["success"]["mean"] == pytest.approx(len(costs) / len(chosen))
-        first = [row["success"] and row["roadmaps"] == 1 for row in chosen]
-        assert part["success_first_roadmap"]["mean"] == pytest.approx(np.mean(first))
-
-
-def test_intervals_are_those_of_a_mean_over_problems():
-    rng = np.random.default_rng(2)
-    # Seeds of a problem agree, so that only the 400 problems count: standard error 1 / 20.
-    values = np.tile(rng.normal(size=400), (3, 1))
-    found = statistics(values, np.ones(values.shape, bool))
-    assert found is not None
-    error = 1.96 * values[0].std() / np.sqrt(400)
-    assert found["high"] - found["mean"] == pytest.approx(error, rel=0.15)
-    assert found["mean"] - found["low"] == pytest.approx(error, rel=0.15)
-    assert statistics(values, np.zeros(values.shape, bool)) is None
-
-
-def timed(time: list, checks: list, **key) -> Timed:
-    key = {"set": "test", "planner": "gnn", "num_nodes": 200, "bound": False} | key
-    times = np.array([time], float)
-    everything = np.ones(times.shape[1], bool)
-    return Timed(
-        key,
-        "",
-        times,
-        np.array([checks], float),
-        np.ones_like(times),
-        {"all": everything, "hard": everything},
-    )
-
-
-def test_crossovers_are_where_the_lines_cross():
-    guide = timed([2e-3, 4e-3], [300, 500])  # mean 3 ms + 400 c
-    cheap = timed([1e-3, 1e-3], [2100, 2900], planner="lazysp")  # mean 1 ms + 2500 c
-    small = timed([1e-3, 1e-3], [10, 10], planner="distance")  # better everywhere
-    slow = timed([1.0, 1.0], [100, 100], planner="ompl:bit_star", num_nodes=None)
-    bound = without_overhead(slow)  # 100 c: better everywhere
-    np.testing.assert_allclose(
-        total_times(guide, "all", np.array([0.0, 1e-3])),
-        [[[2e-3, 4e-3]], [[0.302, 0.504]]],
-    )
-    found = {
-        (row["rival"], row["bound"]): row
-        for row in crossovers([guide, cheap, small, slow, bound])
-        if row["stratum"] == "all" and row["average"] == "mean"
-    }
-    step = FINE[1] / FINE[0]
-    crossing = 2e-3 / 2100
-    assert 1 <= found["lazysp", False]["from_s"] / crossing < step
-    assert found["lazysp", False]["intervals_s"][0][1] == FINE[-1]
-    assert found["distance", False] == found["distance", False] | {
-        "from_s": None,
-        "intervals_s": [],
-    }
-    # Faster while checks are cheap, and slower from (1 - 0.003) / 300 s on.
-    (low, high), *rest = found["ompl:bit_star", False]["intervals_s"]
-    assert not rest
-    assert low == FINE[0]
-    assert 1 / step < high / (0.997 / 300) <= 1
-    assert found["ompl:bit_star", False]["from_s"] is None
-    assert found["ompl:bit_star", True]["intervals_s"] == []
-    # At 0.1 s a check, 200 and 400 checks more than the bound has.
-    expected = {"mean": -30.003, "low": -40.004, "high": -20.002}
-    assert found["ompl:bit_star", True]["saved_s"] == pytest.approx(expected)
-
-
-def test_who_is_told_the_price_of_a_check_is_another_where_it_is_high():
-    dear = timed([5e-3, 5e-3], [10, 20])
-    told = dataclasses.replace(timed([1e-3, 2e-3], [300, 500]), dear=dear)
-    found = total_times(told, "all", np.array([9e-6, 11e-6]))
-    expected = [[1e-3 + 300 * 9e-6, 2e-3 + 500 * 9e-6], [5e-3 + 10 * 11e-6, 5e-3 + 20 * 11e-6]]
-    np.testing.assert_allclose(found[:, 0], expected)
-
-
-def test_faster_names_all_intervals():
-    price = np.arange(6.0)
-    ours, theirs = np.array([1, 3, 3, 1, 3, 1]), np.full(6, 2)
-    assert faster(price, ours, theirs) == {
-        "from_s": 5.0,
-        "intervals_s": [[0, 0], [3, 3], [5, 5]],
-    }
-
-
-def test_other_files_are_no_results(tmp_path):
-    with pytest.raises(InputError, match=r"run python -m experiments\.run_all"):
-        load_results(tmp_path / "none.json")
-    (tmp_path / "old.json").write_text('{"format": 0}')
-    with pytest.raises(InputError, match="format 0, this version reads 1"):
-        load_results(tmp_path / "old.json")
-
-
 def test_a_planner_that_searches_no_roadmaps_is_one_for_all_sizes(tmp_path):
     def case(planner, num_nodes):
         return own_case(tmp_path / "set.npz", "kuka_iiwa14", planner, num_nodes)
@@ -339,12 +192,6 @@ def test_sizes_that_files_of_earlier_versions_tell_are_left_out(tmp_path):
     # Set beside the roadmaps of others, a planner has a row for each size of theirs.
     path.write_text(json.dumps({"format": 1, "experiment": "failures", "rows": rows}))
     assert load_results(path)["rows"] == rows
-
-
-def test_strata_split_by_upper_ends():
-    found = split(np.array([2, 3, 4, 9, np.nan]), {"few": 3, "many": np.inf})
-    assert found["few"].tolist() == [True, True, False, False, False]
-    assert found["many"].tolist() == [False, False, True, True, False]
 
 
 def test_reversals_are_turns_of_more_than_a_right_angle():

@@ -2,10 +2,6 @@
 
 import dataclasses
 import json
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import jax
@@ -48,29 +44,8 @@ def test_the_same_seed_gives_the_same_files_also_after_an_interruption(labelled,
     (again.out / "manifest.json").write_text(json.dumps(cut))
     (again.out / "shard_00002.npz").unlink()
     generate(again)
-    robot = load_robot(labelled.robot)
-    first, second = (load_problems(c.out, robot) for c in (labelled, again))
-    np.testing.assert_array_equal(first.problems.start, second.problems.start)
-    for name, value in first.extras.items():
-        np.testing.assert_array_equal(value, second.extras[name])
-
-
-def test_a_killed_run_goes_on_where_it_stopped(tiny_path, labelled, tmp_path):
-    command = [sys.executable, "-m", "gnnjax.generate", "--robot", str(tiny_path), "--num-nodes"]
-    command += ["24", "--num-problems", "4000", "--shard-size", "2", "--out", str(tmp_path / "set")]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-        manifest = tmp_path / "set" / "manifest.json"
-        while not manifest.exists():
-            assert process.poll() is None, process.stderr.read()
-            time.sleep(0.05)
-        process.send_signal(signal.SIGKILL)
-    kept = read_manifest(tmp_path / "set")["shards"]
-    robot = load_robot(tiny_path)
-    survived = load_problems(tmp_path / "set", robot)  # checks every checksum
-    assert len(survived) == 2 * len(kept)
-    np.testing.assert_array_equal(
-        survived.problems.start[:2], load_problems(labelled.out, robot).problems.start[:2]
-    )
+    files = {path.name: path.read_bytes() for path in labelled.out.iterdir()}
+    assert {path.name: path.read_bytes() for path in again.out.iterdir()} == files
 
 
 def test_problems_are_valid_and_labels_exact(labelled):
@@ -176,6 +151,19 @@ def cheap(monkeypatch, tiny_path):
 def numbers(path, tiny_path):
     """Which problems a set holds."""
     return np.round(100 * load_problems(path, load_robot(tiny_path)).problems.start[:, 0]).tolist()
+
+
+def test_labels_are_those_of_the_checker_that_is_asked_for(cheap, tmp_path, monkeypatch):
+    asked = []
+
+    def noted(robot, num_nodes, checker, family):
+        asked.append(checker)
+        return numbered_problems
+
+    monkeypatch.setattr(gnnjax.generate, "generate_labelled", noted)
+    generate(cheap(tmp_path / "mjx", checker="mjx"))
+    generate(cheap(tmp_path / "fused"))
+    assert asked == ["mjx", "fused"]
 
 
 @pytest.mark.parametrize("name", ["set.npz", "set"])

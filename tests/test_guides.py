@@ -22,7 +22,7 @@ from gnnjax.planning.load import load_planner
 from gnnjax.planning.options import check_options
 from gnnjax.problems.families import BOX_FAMILIES
 from tests.fine_scan import random_scene
-from tests.test_throughput import StandIn
+from tests.stand_in import StandIn
 
 
 @pytest.fixture(scope="module")
@@ -151,9 +151,15 @@ def test_a_fit_finds_the_pair_that_labels_were_drawn_with():
     assert told_apart[0] == pytest.approx(0.01, abs=1e-3)
 
 
-@pytest.mark.parametrize("name", ["guides", "calibrate_field"])
+@pytest.mark.parametrize(
+    ("name", "finding"),
+    [
+        ("guides", "1.00 times the checks and "),
+        ("calibrate_field", "takes 1.000 (1.000 to 1.000) times the configuration checks on tiny."),
+    ],
+)
 @pytest.mark.usefixtures("small_figures")
-def test_quick_forms_write_results_and_go_on(tiny_path, tmp_path, monkeypatch, name):
+def test_quick_forms_write_results_and_go_on(tiny_path, tmp_path, monkeypatch, name, finding):
     made = []
 
     def stand_in(robot, options, guide):
@@ -172,7 +178,7 @@ def test_quick_forms_write_results_and_go_on(tiny_path, tmp_path, monkeypatch, n
     assert load_results(tmp_path / "results" / f"{name}.json") == results
     assert (tmp_path / "results" / f"{name}.png").stat().st_size > 10_000
     assert "|" in experiment.table(results)
-    assert experiment.verdict(results).split()[0] in ("Holds", "Holds:", "Does")
+    assert finding in experiment.verdict(results)
 
     assert made
     made.clear()

@@ -11,48 +11,18 @@ from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import clearances
 from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.mujoco_world import deepest_contact
 from gnnjax.scene.scene import Scene, scene_from_shapes
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
-
-# Links of all kinds that are no spheres, and two that can reach the first.
-ARM = """
-<mujoco>
-  <compiler angle="radian" autolimits="true"/>
-  <default><geom contype="1" conaffinity="1" mass="1"/></default>
-  <asset>
-    <mesh name="wedge" vertex="0 -.04 -.05 .25 -.04 -.02 .25 .04 -.02 0 .04 -.05 0 0 .06"/>
-  </asset>
-  <worldbody>
-    <body name="foot">
-      <geom type="box" size="0.08 0.08 0.05"/>
-      <body name="mast" pos="0 0 0.06">
-        <joint axis="0 0 1" range="-3 3"/>
-        <geom type="cylinder" fromto="0 0 0 0 0 0.35" size="0.05"/>
-        <body name="boom" pos="0 0 0.4">
-          <joint axis="0 1 0" range="-2.5 2.5"/>
-          <geom type="box" pos="0.15 0 0" size="0.15 0.03 0.04"/>
-          <body name="jib" pos="0.33 0 0">
-            <joint axis="0 0 1" range="-2.8 2.8"/>
-            <geom type="mesh" mesh="wedge"/>
-            <body name="tip" pos="0.28 0 0">
-              <joint axis="0 1 0" range="-2.5 2.5"/>
-              <geom type="capsule" fromto="0.03 0 0 0.15 0 0" size="0.03"/>
-            </body>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+from tests.arms import CRANE
 
 
 @pytest.fixture(scope="module")
 def crane(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "crane.xml"
-    path.write_text(ARM)
+    path.write_text(CRANE)
     return load_robot(path)
 
 
@@ -189,3 +159,23 @@ def test_edges_that_graze_are_certified_and_none_of_them_collides(crane):
         by_hulls += int((holds & (clearances(crane, scene, starts) <= 0)).sum())
     assert certified > 100
     assert by_hulls > 20
+
+
+@pytest.mark.parametrize("allow", [(), [("tip", "sphere 0"), ("jib", "box 1")]])
+def test_what_configurations_prove_of_edges_is_what_testing_their_points_finds(crane, allow):
+    rng, checker = np.random.default_rng(3), make_checker(crane)
+    proven, tested = jax.jit(checker.edges_free), jax.jit(checker.check_edges)
+    num, more = 240, 0
+    for _ in range(3):
+        plain = draw_scene(rng)
+        scene = allow_contacts(crane, plain, allow) if allow else plain
+        starts = np.resize(near_contact(rng, crane, plain, num // 2), (num, crane.num_dof))
+        ends = starts + rng.uniform(0.02, 0.6, (len(starts), 1)) * rng.normal(size=starts.shape)
+        ends = np.clip(ends, crane.joint_lower, crane.joint_upper)
+        ends[7::60, 1], ends[9::60] = np.nan, starts[9::60]
+        starts, ends = starts.astype(np.float32), ends.astype(np.float32)
+        expected = np.asarray(tested(scene, starts, ends).valid)
+        np.testing.assert_array_equal(proven(scene, starts, ends), expected)
+        assert num // 8 < expected.sum() < 7 * num // 8
+        more += (expected & (clearances(crane, plain, (starts + ends) / 2, most=0.0) < 0)).sum()
+    assert more > 0 or not allow

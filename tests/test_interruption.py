@@ -39,13 +39,7 @@ def test_a_signal_during_imports_ends_a_command_with_a_sentence(number, status, 
         assert process.wait() == status
 
 
-@pytest.mark.parametrize(
-    ("number", "status", "word"),
-    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
-)
-def test_a_signal_while_a_training_compiles_says_how_to_go_on(
-    tiny_path, tmp_path, monkeypatch, number, status, word
-):
+def test_a_signal_while_a_training_compiles_says_how_to_go_on(tiny_path, tmp_path, monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "empty"))
     out = tmp_path / "run"
     words = ["--robots", str(tiny_path), "--out", str(out), "--scenes", "2", "--motions", "64"]
@@ -53,10 +47,10 @@ def test_a_signal_while_a_training_compiles_says_how_to_go_on(
         while not out.exists() and process.poll() is None:
             time.sleep(0.05)
         time.sleep(0.3)  # all is set up, and the first step compiles
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         again = "start the same command again with --resume to go on"
-        assert process.stderr.read() == f"{word}; {again}\n"
-        assert process.wait() == status
+        assert process.stderr.read() == f"terminated; {again}\n"
+        assert process.wait() == 143
     # A compiler that does not come back is not waited for: then the lock stays for the next one.
     assert all(is_leftover(path.name) for path in out.iterdir())
 

@@ -12,15 +12,13 @@ import numpy as np
 import pytest
 
 from experiments import compare_labels
-from experiments.compare_labels import CompareConfig, _points, main
+from experiments.compare_labels import CompareConfig, main
 from experiments.engine import Engine
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.mjx import _placer
 from gnnjax.evaluate import EvaluateConfig, evaluate
 from gnnjax.generate import GenerateConfig, generate
-from gnnjax.problems.labelled import from_problem_set
-from gnnjax.problems.shards import load_problems
 from gnnjax.scene.scene import inflated, scene_from_shapes
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
 from tests.draws import random_boxes, random_configurations
@@ -168,28 +166,6 @@ def test_poses_are_those_of_mjx(tiny):
     full = [np.broadcast_to(x, (len(rows), len(q))) for x in placed.position.flat]
     position = np.stack(full, axis=-1).swapaxes(0, 1)  # [B G 3]
     np.testing.assert_allclose(position, expected.geom_xpos[:, tiny.part_geom_ids], atol=1e-5)
-
-
-def test_generated_labels_are_those_of_the_c_engine(tiny, tmp_path):
-    out = tmp_path / "train"
-    settings = {"robot": str(tiny.path), "num_problems": 3, "num_nodes": 24, "shard_size": 3}
-    generate(GenerateConfig(**settings, checker="mjx", out=out))
-    drawn = from_problem_set(load_problems(out, tiny))
-    num_edges, num_valid = 0, 0
-    for i in range(3):
-        scene, roadmap, labels = jax.tree.map(
-            lambda x, i=i: x[i], (drawn.problem.scene, drawn.roadmap, drawn.labels)
-        )
-        node, slot = np.nonzero(roadmap.neighbor_mask)
-        starts, ends = roadmap.nodes[node], roadmap.nodes[roadmap.neighbors[node, slot]]
-        points, edge = _points(starts, ends)
-        gaps = engine_gaps(tiny, scene, points)
-        lowest = np.full(len(starts), np.inf)
-        np.minimum.at(lowest, edge, gaps)
-        agrees = labels.edge_valid[node, slot] == (lowest > 0)
-        assert (agrees | (np.abs(lowest) < 1e-4)).all()
-        num_edges, num_valid = num_edges + len(node), num_valid + labels.edge_valid.sum()
-    assert 0 < num_valid < num_edges
 
 
 @pytest.fixture(scope="module")

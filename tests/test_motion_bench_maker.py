@@ -22,9 +22,9 @@ from experiments.results import load_results
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.evaluate import EvaluateConfig
-from gnnjax.planning.query import Plan, make_plan, plan_valid
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.shards import load_problems
+from tests.stand_in import StandIn
 
 TURN = {"position": [0.0, 0.0, 3.0], "orientation": [0, 0, 0, 1]}
 
@@ -80,29 +80,6 @@ def test_folders_and_flat_files_become_one_set(published, tiny_path, tmp_path):
         problems_of_folder(published, robot)
     with pytest.raises(InputError, match=r"no sceneNNNN.yaml below '.*cage_panda/none'"):
         problems_of_folder(published / "cage_panda" / "none", robot)
-
-
-class StandIn:
-    """A planner that solves by a straight line what does not start at 0.5."""
-
-    radius = None
-
-    def __init__(self, robot, cost):
-        self.robot, self.cost, self.batches = robot, cost, []
-
-    def plan_batch(self, problems, *, seed=0):
-        return plan_valid(self.robot, problems, 0.0, self._search)
-
-    def _search(self, problems):
-        self.batches.append(len(problems.start))
-        return [self._plan(q, p) for q, p in zip(problems.start, problems.goal, strict=True)]
-
-    def _plan(self, start, goal) -> Plan:
-        costs = {"edge_checks": 1, "sampling_checks": 2, "search_checks": 7, "roadmaps": 1}
-        times = {"planning_time_s": 0.5, "total_time_s": 0.5}
-        path = None if start[0] == np.float32(0.5) else np.stack([start, goal])
-        plan = make_plan(path, "no path", self.robot.num_dof, **costs, **times)
-        return plan._replace(cost=self.cost) if plan.success else plan
 
 
 @pytest.fixture

@@ -9,13 +9,13 @@ from gnnjax.errors import InputError
 from gnnjax.scene.own_points import distances_to_hull, without_robot
 from gnnjax.scene.scene_file import scene_from_json
 from gnnjax.scene.shapes import box
-from tests.test_hulls import ARM
+from tests.arms import CRANE
 
 
 @pytest.fixture(scope="module")
 def crane(tmp_path_factory):
     path = tmp_path_factory.mktemp("robots") / "crane.xml"
-    path.write_text(ARM)
+    path.write_text(CRANE)
     return load_robot(path)
 
 

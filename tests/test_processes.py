@@ -19,7 +19,7 @@ from gnnjax.guide.field import field_guide
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions, make_options
 from gnnjax.planning.processes import PlannerProcesses
-from tests.test_guided_planner import random_problem, same
+from tests.queries import random_problem, same
 
 
 def read_in_a_script(*scene):

@@ -22,6 +22,28 @@ def fast(monkeypatch):
     monkeypatch.setattr(roll_call, "_BEAT_S", 0.02)
 
 
+@pytest.fixture
+def clock(monkeypatch):
+    """Time passes with the beats of the slowest that is there: no busy machine loses one."""
+    there, seconds, enter = [], [0.0], RollCall.__enter__
+
+    def noted(others):
+        there.append(enter(others))
+        return there[-1]
+
+    def monotonic():
+        beats = [others._beats for others in there if not others._ended.is_set()]
+        if not beats:
+            return time.monotonic()
+        seconds[0] = max(seconds[0], roll_call._BEAT_S * min(beats))
+        return seconds[0]
+
+    clock = SimpleNamespace(time=time.time, monotonic=monotonic, sleep=time.sleep)
+    monkeypatch.setattr(RollCall, "__enter__", noted)
+    monkeypatch.setattr(roll_call, "time", clock)
+    return clock
+
+
 def together(target, processes, patience=60.0):
     """What each of some functions of a roll call has returned or raised, a thread each."""
     found = {}
@@ -107,7 +129,7 @@ def test_a_reason_to_end_comes_to_all(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_who_is_silent_or_never_came_is_named(tmp_path):
+def test_who_is_silent_or_never_came_is_named(tmp_path, clock):
     def killed(others):
         time.sleep(0.1)
         others._ended.set()  # no sign from now on, and no word
@@ -128,16 +150,19 @@ def test_who_is_silent_or_never_came_is_named(tmp_path):
             others.gather()
 
 
-def test_clocks_and_names_of_machines_tell_nothing(tmp_path, monkeypatch):
+def test_clocks_and_names_of_machines_tell_nothing(tmp_path, monkeypatch, clock):
     # Here one of each for all: a clock that stands, and a name that many machines have.
-    clock = SimpleNamespace(time=lambda: 0.0, monotonic=time.monotonic, sleep=time.sleep)
-    monkeypatch.setattr(roll_call, "time", clock)
+    clock.time = lambda: 0.0
     monkeypatch.setattr(roll_call, "_this_process", lambda: "process 1 on localhost")
 
     def working(others):
+        began, deadline = clock.monotonic(), time.monotonic() + 60
         for ahead in (0, 1e9, 5):  # as a file server has it
             os.utime(others._file(1), (ahead, ahead))
-            time.sleep(0.2)
+            time.sleep(0.05)
+        while clock.monotonic() < began + 0.6:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
         return others.gather()
 
     found = together(tmp_path / "set", [RollCall.gather, working, RollCall.gather], patience=0.5)

@@ -147,7 +147,7 @@ def test_a_motion_stops_at_corners_that_are_not_rounded(free):
     assert whole.duration > time_path(free, NOTHING, path, **limits._asdict()).duration
 
 
-def searched(robot, limits, curve, fine=4000, speeds=None):
+def searched(robot, limits, curve, fine=1500):
     """Duration by integration in the phase plane: the largest speeds from which the end can be
     reached on a dense grid, by bisection of x, with u from the limits at both ends of a step."""
     number = len(curve.grid) - 1
@@ -176,14 +176,14 @@ def searched(robot, limits, curve, fine=4000, speeds=None):
 
     reach = np.zeros(fine + 1)
     for i in reversed(range(fine)):
-        x, step = np.linspace(0, 1, 2001), s[i + 1] - s[i]
+        x, step = np.linspace(0, 1, 801), s[i + 1] - s[i]
         lower, upper = 0.0, min(ceiling[i], 1e4)
         for _ in range(2):  # finer about the largest that leads on
             tried = lower + x * (upper - lower)
             least, most = least_and_most(i, tried)
             good = (least <= most) & (tried + 2 * step * least <= reach[i + 1])
             k = np.flatnonzero(good)[-1]
-            lower, upper = tried[k], tried[min(k + 1, 2000)]
+            lower, upper = tried[k], tried[min(k + 1, 800)]
         reach[i] = lower
     speeds = np.zeros(fine + 1)
     for i in range(fine):

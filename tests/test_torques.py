@@ -28,8 +28,8 @@ from gnnjax.roadmap.stored import stored_roadmap
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
+from tests.arms import HEAVY
 from tests.conftest import TINY
-from tests.test_dynamics import HEAVY
 
 NOTHING = make_scene([], [])
 # Straight out the tiny arm needs 4.4 N m in joint b.

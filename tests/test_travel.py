@@ -8,7 +8,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.link_frames import joint_frames, link_twists
 from gnnjax.collision.travel import Moments, Motions, Travel, straight_motions
-from tests.odd_arm import ODD
+from tests.arms import ODD
 
 NUM = 12
 

@@ -296,7 +296,7 @@ def test_other_formats_need_trimesh_and_that_is_said(tmp_path, monkeypatch):
         load_robot(path)
 
 
-def test_no_file_of_that_name(tmp_path):
+def test_a_file_that_is_not_there_is_said_so(tmp_path):
     with pytest.raises(InputError, match=r"no URDF file at .*; check the path"):
         load_robot(tmp_path / "arm.urdf")
 

@@ -5,6 +5,7 @@ import itertools
 import shutil
 import socket
 import sys
+import threading
 import time
 
 import mujoco
@@ -18,7 +19,7 @@ from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.view import ViewConfig, main, open_page
 from gnnjax.viewer.answers import state_at
 from gnnjax.viewer.frames import Frames
-from tests.test_viewer import GOAL, SHAPES, START, TIMEOUT
+from tests.viewed import GOAL, SHAPES, START, TIMEOUT
 
 pytest.importorskip("viser", reason="the view extra is not installed")
 
@@ -81,12 +82,13 @@ def test_while_something_is_planned_the_last_path_is_grey_and_no_arm_is_shown(pa
     assert panel.stage.arm.root.visible
     shown = [line.colors.copy() for line in panel.stage.path]
     assert len(shown) == 2
-    release = []
-    session.worker.ask("hold", lambda: release or time.sleep(0.5))
+    go_on = threading.Event()
+    session.worker.ask("hold", lambda: go_on.wait(TIMEOUT))
     session.set_end("start", START + np.float32([0.01, 0, 0]))
     assert "planning ..." in panel.status.content
     assert not panel.stage.arm.root.visible
     assert all(len(set(line.colors.ravel().tolist()[:2])) == 1 for line in panel.stage.path)
+    go_on.set()
     assert session.worker.wait(TIMEOUT)
     assert "certified free" in panel.status.content
     assert panel.stage.arm.root.visible
