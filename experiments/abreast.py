@@ -3,8 +3,8 @@
 The engine decides on the host what is worth testing, in calls that suit the caches of a CPU. An
 accelerator wants fewer and larger calls, and tests that may turn out needless rather than another
 decision. Here all that is unknown of a path is tested at once, and shortcuts are those of
-`gnnjax/planning/shortcuts.py`, as functions of arrays. On a CPU it takes as much time as the engine
-and three quarters more checks; `experiments.accelerator` times it.
+`gnnjax/planning/shorten_by_tests.py`, as functions of arrays. On a CPU it takes as much time as the
+engine and three quarters more checks; `experiments.accelerator` times it.
 """
 
 from typing import Any, NamedTuple

@@ -30,7 +30,7 @@ from experiments.abreast import AbreastSearch, Candidates
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.devices import cache_compilations
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import check_target
@@ -133,11 +133,11 @@ def _scenes(config: AcceleratorConfig, robot: Robot) -> Scene:
     home = jnp.asarray(robot.home)
 
     def clear(scene: Scene) -> jax.Array:
-        return boxes_clear(robot, scene, home)
+        return obstacles_clear(robot, scene, home)
 
     num = config.boxes
     keys = jax.random.split(jax.random.key(config.seed), _SCENES)
-    drawn = [sample_scene(k, clear, max_boxes=num, min_num=num, max_num=num) for k in keys]
+    drawn = [sample_scene(k, clear, max_obstacles=num, min_num=num, max_num=num) for k in keys]
     return jax.tree.map(lambda *x: jnp.stack(x), *drawn)
 
 

@@ -37,7 +37,7 @@ from experiments.operations import operations
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write
 from gnnjax.problems.problem import sample_scene
@@ -105,8 +105,8 @@ def measure(config: BenchmarkConfig) -> dict:
     home = jnp.zeros(robot.num_dof)
     aligned = sample_scene(
         scene_key,
-        lambda scene: boxes_clear(robot, scene, home),
-        max_boxes=config.boxes,
+        lambda scene: obstacles_clear(robot, scene, home),
+        max_obstacles=config.boxes,
         min_num=config.boxes,
         max_num=config.boxes,
     )

@@ -26,7 +26,7 @@ from experiments.engine import Engine
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot, load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, Checker, make_checker
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError, run_command
 from gnnjax.files import atomic_write
 from gnnjax.problems.problem import sample_scene
@@ -117,7 +117,7 @@ def _draw(
 ) -> tuple[Scene, Roadmap]:
     scene_key, turn_key, ends_key, roadmap_key = jax.random.split(key, 4)
     scene = sample_scene(
-        scene_key, lambda scene: boxes_clear(robot, scene, jnp.zeros(robot.num_dof))
+        scene_key, lambda scene: obstacles_clear(robot, scene, jnp.zeros(robot.num_dof))
     )
     quats = jax.random.normal(turn_key, scene.quats.shape)
     quats = quats / jnp.linalg.norm(quats, axis=-1, keepdims=True)

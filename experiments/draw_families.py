@@ -19,7 +19,7 @@ from gnnjax.files import atomic_write
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.labelled import generate_labelled, problem_keys
 from gnnjax.problems.problem import Problem
-from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
+from gnnjax.scene.mujoco_world import build_world, obstacles, place_obstacles
 from gnnjax.scene.shapes import cylinder
 
 TITLES = {
@@ -75,7 +75,7 @@ def _render(robot: Robot, problem: Problem, on_one_side: bool) -> np.ndarray:
     scene = problem.scene
     model = build_world(robot, len(scene.mask), scene.cloud)
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_obstacles(model, data, scene)
     model.geom_rgba[obstacles(model, len(scene.mask)).geoms, 3] = 0.45
     model.vis.global_.offwidth, model.vis.global_.offheight = 640, 600
     # Boxes that do not exist are far away, and would move the near clipping plane.

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.robot import Robot
-from gnnjax.scene.mujoco_world import build_world, place_boxes
+from gnnjax.scene.mujoco_world import build_world, place_obstacles
 from gnnjax.scene.scene import Scene
 
 
@@ -16,7 +16,7 @@ class Engine:
         self.model.geom_margin[:] = margin
         self.model.body_margin[:] = margin
         self.data = mujoco.MjData(self.model)
-        place_boxes(self.model, self.data, scene)
+        place_obstacles(self.model, self.data, scene)
 
     def valid(self, q: np.ndarray) -> np.ndarray:
         """Whether no contact exists, of each configuration [N, D]; without a margin."""

@@ -12,7 +12,7 @@ from gnnjax.arm.turns import in_all_turns
 from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import Checker, make_checker
 from gnnjax.collision.edges import EdgeChecks
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError
 from gnnjax.guide.field import field_guide
 from gnnjax.guide.guide import Guide, Prices
@@ -133,7 +133,6 @@ __all__ = [
     "Trajectory",
     "allow_contacts",
     "box",
-    "boxes_clear",
     "capsule",
     "certify_edges",
     "certify_path",
@@ -163,6 +162,7 @@ __all__ = [
     "make_scene",
     "mesh",
     "motion_guide",
+    "obstacles_clear",
     "octomap",
     "pad_scene",
     "point_cloud",

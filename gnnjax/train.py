@@ -29,7 +29,7 @@ from gnnjax.paper.network import GuidanceNetwork, Part
 from gnnjax.paper.step import LOSS_OPTIONS, make_step, validate
 from gnnjax.paper.strategy import gnn
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.planner import WalkPlanner
+from gnnjax.planning.planner import SampledPlanner
 from gnnjax.problems.labelled import (
     from_problem_set,
     generate_labelled,
@@ -183,7 +183,7 @@ def _train(config: TrainConfig, mesh: Mesh | None) -> Path:
     )
     num_nodes = int(data.roadmap.node_mask.sum(axis=1).max())
     options = PlannerOptions(planner="gnn", num_nodes=num_nodes, max_roadmaps=1)
-    planner = WalkPlanner(robot, gnn(robot, network, options), options)
+    planner = SampledPlanner(robot, gnn(robot, network, options), options)
     validation = None
     if config.validation_problems:
         keys = problem_keys(config.seed, "validation", 0, config.validation_problems)

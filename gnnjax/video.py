@@ -16,7 +16,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, needs_extra, one_line
 from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.allowed import last_link
-from gnnjax.scene.mujoco_world import obstacles, place_boxes, world_spec
+from gnnjax.scene.mujoco_world import obstacles, place_obstacles, world_spec
 from gnnjax.scene.scene import Scene
 
 _RATE = 20  # frames a second, which GIF has exactly
@@ -70,7 +70,7 @@ def _frames(
     """Pictures `[H, W, 3]`."""
     model = _stage(robot, scene)
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene._replace(allowed=None))
+    place_obstacles(model, data, scene._replace(allowed=None))
     at = np.append(np.arange(times[0], times[-1], 1 / _RATE), times[-1])
     shots = np.stack([np.interp(at, times, column) for column in positions.T], axis=1)
     tips, low, high = np.empty((len(at), 3)), np.full(3, np.inf), np.full(3, -np.inf)

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
+from gnnjax.scene.mujoco_world import build_world, obstacles, place_obstacles
 
 MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
 
@@ -11,15 +11,15 @@ MARGIN = 1e-3  # m; the C engine reports contacts this far apart, too
 class Engine:
     """MuJoCo's C engine: one world, whose boxes move from scene to scene."""
 
-    def __init__(self, robot, max_boxes=10, margin=MARGIN):
-        self.model = build_world(robot, max_boxes)
+    def __init__(self, robot, max_obstacles=10, margin=MARGIN):
+        self.model = build_world(robot, max_obstacles)
         self.model.geom_margin[:] = margin
         self.model.body_margin[:] = margin
         self.data = mujoco.MjData(self.model)
-        self.boxes = obstacles(self.model, max_boxes).geoms
+        self.boxes = obstacles(self.model, max_obstacles).geoms
 
     def place(self, scene):
-        place_boxes(self.model, self.data, scene)
+        place_obstacles(self.model, self.data, scene)
 
     def move(self, q):
         self.data.qpos[:] = q

@@ -5,7 +5,7 @@ import itertools
 import mujoco
 import numpy as np
 
-from gnnjax.scene.mujoco_world import build_world, place_boxes
+from gnnjax.scene.mujoco_world import build_world, place_obstacles
 from gnnjax.scene.scene import make_scene
 
 
@@ -22,7 +22,7 @@ def collides_anywhere(robot, scene, *paths, step=0.002):
     """Tests paths every `step` (configuration units) with MuJoCo's C engine."""
     model = build_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_obstacles(model, data, scene)
     for start, end in itertools.chain(*map(itertools.pairwise, paths)):
         count = int(np.ceil(np.linalg.norm(end - start) / step))
         for fraction in np.linspace(0, 1, count + 1):

@@ -193,7 +193,7 @@ def _train(folder: Path) -> None:
         stack.enter_context(_without_jax())
         for name, cheap in {
             "GuidanceNetwork": _Network,
-            "WalkPlanner": lambda *args, **kwargs: None,
+            "SampledPlanner": lambda *args, **kwargs: None,
             "gnn": lambda *args: None,
             "load_problems": lambda *args: problems,
             "from_problem_set": lambda problems: _labelled(4),

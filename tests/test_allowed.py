@@ -15,7 +15,7 @@ from gnnjax.baselines.ledger import Ledger, mujoco_checks
 from gnnjax.collision.certify import certify_edges, certify_path, known_obstacles
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import base_clear, clearances
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.collision.sequences import Items, SequenceTester
 from gnnjax.errors import InputError
 from gnnjax.planning.load import own_planner
@@ -26,7 +26,7 @@ from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.any_file import read_scene
 from gnnjax.scene.batches import stack_scenes
-from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
+from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_obstacles
 from gnnjax.scene.scene import inflated, make_scene, pad_scene, scene_from_shapes
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
@@ -240,7 +240,7 @@ def test_a_fixed_body_may_touch_what_it_stands_on(tmp_path):
     meant = allow_contacts(robot, stand, [("foot", "box 0")])
     for clear in (
         base_clear(robot, meant),
-        jax.jit(partial(boxes_clear, robot, base_only=True))(meant, q=q),
+        jax.jit(partial(obstacles_clear, robot, base_only=True))(meant, q=q),
     ):
         assert np.asarray(clear)[:3].tolist() == [True, False, True]
     batch = jax.tree.map(lambda x: np.asarray(x)[None], Problem(q, q, meant))
@@ -298,7 +298,7 @@ def test_whoever_cannot_leave_contacts_out_refuses_the_scene(robot, scene, bare,
     (tmp_path / "other.xml").unlink()
     wrong = scene._replace(allowed=scene.allowed._replace(arm=np.uint32(7)))
     refusals = [
-        lambda: place_boxes(model, data, scene),
+        lambda: place_obstacles(model, data, scene),
         lambda: mujoco_checks(robot, len(scene.mask))(scene, Ledger()),
         lambda: make_checker(robot, "mjx").check_configurations(scene, jnp.asarray(q)),
         lambda: scene_to_json(scene, tmp_path / "scene.json"),

@@ -38,7 +38,9 @@ def robot(tiny_path):
 def walled():
     """One problem whose straight line is blocked."""
     scene = make_scene(
-        [[0.55, 0.35, 0.1], [0.45, -0.4, 0.3], [0.0, 0.0, 0.9]], np.full((3, 3), 0.12), max_boxes=3
+        [[0.55, 0.35, 0.1], [0.45, -0.4, 0.3], [0.0, 0.0, 0.9]],
+        np.full((3, 3), 0.12),
+        max_obstacles=3,
     )
     start, goal = np.array([[1.6, 0.0, 0.0], [-1.6, 0.0, 0.3]], np.float32)
     return jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
@@ -49,7 +51,7 @@ def blocked(walled):
     """A problem without a solution: only joint a turns past the walls, and they are a ring."""
     angles = np.array([0.4, -0.4, 0.0])
     centers = np.stack([0.42 * np.cos(angles), 0.42 * np.sin(angles), 0 * angles], axis=1)
-    scene = make_scene(centers, np.full((3, 3), 0.2), max_boxes=3)
+    scene = make_scene(centers, np.full((3, 3), 0.2), max_obstacles=3)
     return walled._replace(scene=jax.tree.map(lambda x: np.asarray(x)[None], scene))
 
 

@@ -14,14 +14,14 @@ from gnnjax.collision.certify import certify_edges, certify_path
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import base_clear, clearances
 from gnnjax.collision.cloud import without_leaves
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.collision.spheres import BLOCKED, CLOUD
 from gnnjax.errors import InputError
 from gnnjax.planning.load import load_planner
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import NODES, point_cloud
-from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
+from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_obstacles
 from gnnjax.scene.own_points import distances_to_hull
 from gnnjax.scene.scene import inflated, scene_from_shapes, without_points
 from gnnjax.scene.shapes import box
@@ -162,7 +162,7 @@ def test_the_c_engine_finds_no_contact_in_what_is_accepted_and_one_in_what_is_no
     scene, dense = (scene_from_points(some, 0.02, None) for some in (wall[::3], wall))
     model = build_world(crane, len(scene.mask), scene.cloud)
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_obstacles(model, data, scene)
     model.geom_margin[:] = 0.01
     of_cloud = model.geom_bodyid == model.body("cloud of points").id
 
@@ -188,7 +188,7 @@ def test_the_c_engine_finds_no_contact_in_what_is_accepted_and_one_in_what_is_no
     assert found.sum() > 30
     assert collides.sum() > 30
     with pytest.raises(InputError, match=r"cloud of \d+ points, and the MuJoCo world one of 0"):
-        place_boxes(build_world(crane, len(scene.mask)), data, scene)
+        place_obstacles(build_world(crane, len(scene.mask)), data, scene)
     exact = clearances(crane, scene, q, most=0.0) > 0
     assert not (exact & collides).any()
     assert not (found & ~exact).any()
@@ -239,12 +239,14 @@ def test_a_scene_without_its_points_is_not_certified(tiny):
         certify_path(tiny, scene._replace(cloud=broken), np.zeros((2, 3)))
 
 
-def test_boxes_clear_and_base_clear_tell_of_the_cloud_last(tiny):
+def test_obstacles_clear_and_base_clear_tell_of_the_cloud_last(tiny):
     for height, clear in ((0.5, True), (0.1, False)):
         scene = scene_from_shapes(
             [box([2, 0, 0], [0.1] * 3)], clouds=[point_cloud([[0, 0, height]], 0.02)]
         )
-        found = boxes_clear(tiny, jax.tree.map(jnp.asarray, scene), jnp.zeros(3), base_only=True)
+        found = obstacles_clear(
+            tiny, jax.tree.map(jnp.asarray, scene), jnp.zeros(3), base_only=True
+        )
         np.testing.assert_array_equal(found, [True] * 10 + [clear])
         np.testing.assert_array_equal(base_clear(tiny, scene), found)
         np.testing.assert_array_equal(base_clear(tiny, stack_scenes([scene] * 2)), [found] * 2)

@@ -8,7 +8,7 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
 from gnnjax.collision.exact import SIMPLER
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene
 from tests.c_engine import MARGIN, Engine
@@ -176,13 +176,15 @@ def test_configurations_beyond_limits_or_without_numbers_are_invalid(tiny, backe
     assert np.asarray(check(scene, q)).tolist() == [True, False, False, False, False, False]
 
 
-def test_boxes_clear_matches_distances(capsules, tiny):
+def test_obstacles_clear_matches_distances(capsules, tiny):
     rng = np.random.default_rng(8)
     for robot in (capsules, tiny):
         engine = Engine(robot)
         weld = engine.model.body_weldid[engine.model.geom_bodyid]
         for base_only in (False, True):
-            found = jax.jit(lambda s, q, b=base_only, r=robot: boxes_clear(r, s, q, base_only=b))
+            found = jax.jit(
+                lambda s, q, b=base_only, r=robot: obstacles_clear(r, s, q, base_only=b)
+            )
             for _ in range(4):
                 scene = random_boxes(rng, 8, rotated=True, reach=0.5)
                 q = random_configurations(rng, robot, 1)[0]

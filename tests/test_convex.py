@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from gnnjax.arm.hulls import simplify
 from gnnjax.collision.convex import (
-    Obstacles,
     Parts,
+    Sums,
     separate_obstacles,
     separate_parts,
 )
@@ -125,7 +125,7 @@ class Pairs:
 
     def obstacles(self):
         sizes = jnp.asarray(np.array([SHAPES[i][2] for i in self.other]).T, jnp.float32)
-        return Obstacles(sizes[:3], sizes[3], sizes[4])
+        return Sums(sizes[:3], sizes[3], sizes[4])
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["obstacles", "parts"])
@@ -217,7 +217,7 @@ def one_vertex(radius):
 def gap(parts, position, box=(0.0, 0.0, 0.0), disc=0.0, ball=0.0, rotation=None, direction=None):
     column = jnp.asarray(position, jnp.float32)[:, None]
     turn = jnp.asarray(np.eye(3) if rotation is None else rotation, jnp.float32)[:, :, None]
-    obstacle = Obstacles(jnp.asarray(box)[:, None], jnp.asarray([disc]), jnp.asarray([ball]))
+    obstacle = Sums(jnp.asarray(box)[:, None], jnp.asarray([disc]), jnp.asarray([ball]))
     start = column if direction is None else jnp.asarray(direction, jnp.float32)[:, None]
     part = jnp.zeros(1, int)
     return OBSTACLES_APART(parts, part, column, turn, obstacle, start).gaps.item()

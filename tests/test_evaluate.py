@@ -20,7 +20,7 @@ from gnnjax.generate import GenerateConfig, generate
 from gnnjax.measure.statistics import summarize
 from gnnjax.measure.table import print_summary
 from gnnjax.planning.load import make_planner
-from gnnjax.planning.planner import GuidedPlanner, WalkPlanner
+from gnnjax.planning.planner import GuidedPlanner, SampledPlanner
 from gnnjax.planning.query import check_queries
 from gnnjax.problems.file import save_problems
 from gnnjax.problems.shards import load_problems
@@ -354,7 +354,7 @@ def test_problems_that_are_none_leave_the_others_of_their_batch_alone(
     query = load_problems(problems, planner.robot).take(valid).problems
     plans = planner.plan_batch(query)
     assert sum(plan.success for plan in plans) >= num / 2
-    functions = planner._compiled(True) if isinstance(planner, WalkPlanner) else ()
+    functions = planner._compiled(True) if isinstance(planner, SampledPlanner) else ()
     sizes = [f._cache_size() for f in functions]
     for part in ("start", "goal", "centers", "half_extents"):
         changed = jax.tree.map(np.copy, query)

@@ -14,7 +14,7 @@ from experiments.draw_families import TITLES
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import configuration_clearance
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.collision.obstacles import scene_faults
 from gnnjax.errors import InputError
 from gnnjax.generate import GenerateConfig, generate
@@ -27,7 +27,7 @@ from gnnjax.problems.shards import load_problems, read_manifest
 from gnnjax.scene.cloud import Balls, cloud_of, make_cloud
 from gnnjax.scene.lookup import lookup, squared_distance_to
 from gnnjax.scene.mujoco_world import deepest_contact
-from gnnjax.scene.scene import BOX_BUCKETS, is_axis_aligned, make_scene
+from gnnjax.scene.scene import OBSTACLE_BUCKETS, is_axis_aligned, make_scene
 from gnnjax.scene.shapes import KINDS, cylinder, kind_of
 
 NUM_BOXES = {
@@ -83,13 +83,13 @@ def sampler(path, family):
         path.write_text(LIFT)
         robot = load_robot(path).attach("lower", [BOTTLE])
     check = make_checker(robot).check_configurations
-    clear = functools.partial(boxes_clear, robot, q=jnp.zeros(robot.num_dof), base_only=True)
+    clear = functools.partial(obstacles_clear, robot, q=jnp.zeros(robot.num_dof), base_only=True)
     draw = functools.partial(
         sample_family_problem,
         family=family,
         robot=robot,
         check_configurations=check,
-        boxes_clear=clear,
+        obstacles_clear=clear,
     )
     return robot, draw, jax.jit(draw)
 
@@ -117,7 +117,7 @@ def inside(region, point):
 def test_scenes_fill_a_bucket_with_turned_obstacles_of_positive_size(family):
     drawn = many_scenes(family)
     scene = drawn.scene
-    assert scene.mask.shape[1] in BOX_BUCKETS
+    assert scene.mask.shape[1] in OBSTACLE_BUCKETS
     counts = scene.mask.sum(axis=1)
     low, high = NUM_BOXES[family]
     assert counts.min() >= low

@@ -26,7 +26,7 @@ from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.allowed import allow_contacts, last_link
 from gnnjax.scene.holding import attach, attach_from_json
-from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_boxes
+from gnnjax.scene.mujoco_world import build_world, deepest_contact, place_obstacles
 from gnnjax.scene.pose import Pose
 from gnnjax.scene.scene import make_scene, scene_from_shapes
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
@@ -89,7 +89,7 @@ def test_the_engine_pairs_what_is_held_just_as_planning_does(holding):
     scene = make_scene([], [])
     model = build_world(holding, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_obstacles(model, data, scene)
     q = random_configurations(np.random.default_rng(1), holding, 400)
     clear, met = clearances(holding, scene, q, most=0.0) > 0, []
     for x in q:

@@ -30,7 +30,9 @@ def robot(tiny_path):
 def walled():
     """One problem whose straight line is blocked."""
     scene = make_scene(
-        [[0.55, 0.35, 0.1], [0.45, -0.4, 0.3], [0.0, 0.0, 0.9]], np.full((3, 3), 0.12), max_boxes=3
+        [[0.55, 0.35, 0.1], [0.45, -0.4, 0.3], [0.0, 0.0, 0.9]],
+        np.full((3, 3), 0.12),
+        max_obstacles=3,
     )
     start, goal = np.array([[1.6, 0.0, 0.0], [-1.6, 0.0, 0.3]], np.float32)
     return jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
@@ -55,7 +57,7 @@ def test_both_checkers_agree(robot, fused_maker):
 
 def test_neither_checker_takes_what_motors_cannot_hold(robot):
     weak = robot.at_rest_within(0.8, torque=5.0)
-    scene = make_scene([], [], max_boxes=NUM_BOXES)
+    scene = make_scene([], [], max_obstacles=NUM_BOXES)
     fused, _ = fused_checks(weak, True, NUM_BOXES, 0.05)(scene, Ledger())
     engine, _ = mujoco_checks(weak, NUM_BOXES)(scene, Ledger())
     for q, held in (([0.0, 0.0, 0.0], False), ([0.0, -1.2, 0.0], True)):

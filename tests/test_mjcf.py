@@ -11,11 +11,11 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import configuration_clearance
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError
 from gnnjax.guide.view import choose_points
 from gnnjax.problems.family_problem import arm_reach, tip_positions
-from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
+from gnnjax.scene.mujoco_world import build_world, obstacles, place_obstacles
 from gnnjax.scene.scene import make_scene
 
 # A turned and lifted base, geoms in the world beside it, and a body in a frame.
@@ -128,7 +128,7 @@ def test_boxes_are_seen_from_the_base_wherever_it_stands(turned, configurations,
     if backend == "engine":
         world = build_world(turned, len(scene.mask))
         state = mujoco.MjData(world)
-        place_boxes(world, state, scene)
+        place_obstacles(world, state, scene)
         found = []
         for state.qpos[:] in q:
             mujoco.mj_fwdPosition(world, state)
@@ -188,7 +188,7 @@ def test_geoms_of_the_world_are_seen_from_the_base(turned):
     place = rotation(turned).T @ (np.array([-0.4, 0.3, 0.2]) - [0.3, -0.2, 0.5])
     scene = jax.tree.map(jnp.asarray, make_scene([place, place + 1], [[0.02] * 3] * 2))
     home = jnp.asarray(turned.home)
-    clear = boxes_clear(turned, scene, home, base_only=True)
+    clear = obstacles_clear(turned, scene, home, base_only=True)
     np.testing.assert_array_equal(clear[:2], [False, True])
 
 
@@ -209,7 +209,7 @@ def test_names_that_obstacles_have_elsewhere_do_not_disturb_them(turned):
     scene = boxes_on_the_base()[1]
     world = build_world(turned, 10)
     data = mujoco.MjData(world)
-    place_boxes(world, data, scene)
+    place_obstacles(world, data, scene)
     mujoco.mj_kinematics(world, data)
     found = obstacles(world, 10)
     np.testing.assert_allclose(data.geom_xpos[found.geoms[:4]], scene.centers[:4], atol=1e-6)
@@ -257,7 +257,7 @@ def test_contact_pairs_count_whatever_bits_and_exclusions_say(tmp_path, configur
     scene = make_scene([tip], [[0.05] * 3])
     world = build_world(robot, 10)
     state = mujoco.MjData(world)
-    place_boxes(world, state, scene)
+    place_obstacles(world, state, scene)
     state.qpos[:] = configurations[0]
     mujoco.mj_fwdPosition(world, state)
     boxes = obstacles(world, 10).geoms
@@ -271,7 +271,7 @@ def contacts_with_a_box_at_the_tip(robot):
     tip = np.asarray(tip_positions(robot, jnp.zeros((1, 3))))[0]
     world = build_world(robot, 1)
     data = mujoco.MjData(world)
-    place_boxes(world, data, make_scene([tip], [[0.05] * 3], max_boxes=1))
+    place_obstacles(world, data, make_scene([tip], [[0.05] * 3], max_obstacles=1))
     mujoco.mj_fwdPosition(world, data)
     return data.ncon
 

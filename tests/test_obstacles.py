@@ -13,7 +13,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import clearances
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError
 from gnnjax.paper.occupancy import occupancy_grid
 from gnnjax.planning.query import check_queries
@@ -21,7 +21,7 @@ from gnnjax.problems.file import save_problems
 from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.problems.shards import load_problems
 from gnnjax.scene.field import distance_field, make_grid
-from gnnjax.scene.mujoco_world import build_world, obstacles, place_boxes
+from gnnjax.scene.mujoco_world import build_world, obstacles, place_obstacles
 from gnnjax.scene.scene import Scene, inflated, scene_from_shapes
 from gnnjax.scene.scene_file import scene_from_json, scene_to_json
 from gnnjax.scene.shapes import (
@@ -88,7 +88,7 @@ def engine_distances(robot, scene, q):
     """`[B, M]` m from each obstacle to the arm; negative where they touch."""
     model = build_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_obstacles(model, data, scene)
     placed = obstacles(model, len(scene.mask)).geoms
     moving = [g for g in robot.geom_ids.tolist() if model.body_weldid[model.geom_bodyid[g]]]
     found = np.full((len(q), len(scene.mask)), np.inf)
@@ -157,14 +157,14 @@ def test_obstacles_in_the_base_are_found_by_kind(tiny):
     scene = draw_scene(rng, 10, reach=0.3)
     model = build_world(tiny, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_obstacles(model, data, scene)
     mujoco.mj_kinematics(model, data)
     (base,) = (g for g in tiny.geom_ids.tolist() if not model.body_weldid[model.geom_bodyid[g]])
     apart = [
         mujoco.mj_geomDistance(model, data, base, int(g), 10.0, None)
         for g in obstacles(model, len(scene.mask)).geoms
     ]
-    found = boxes_clear(tiny, jax.tree.map(jnp.asarray, scene), jnp.zeros(3), base_only=True)
+    found = obstacles_clear(tiny, jax.tree.map(jnp.asarray, scene), jnp.zeros(3), base_only=True)
     np.testing.assert_array_equal(found, np.array(apart) > 0)
     assert 0 < np.sum(found) < 10
 
@@ -203,7 +203,7 @@ def test_the_field_is_the_distance_to_any_kind():
 def place_boxes_of(model, data, scene, at):
     """The first obstacle of a scene, in a world that has a point beside its obstacles."""
     one = jax.tree.map(lambda x: np.concatenate([x, x[:1]])[:11], scene)
-    place_boxes(model, data, one._replace(mask=np.r_[scene.mask, False]))
+    place_obstacles(model, data, one._replace(mask=np.r_[scene.mask, False]))
     del at
 
 

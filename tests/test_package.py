@@ -62,7 +62,7 @@ roadmap.graph roadmap.sampled roadmap.paths roadmap.smallest roadmap.sobol roadm
 plot
 pose.goal pose.chain pose.solver pose.inverse pose.reasons
 guide.guide guide.view guide.motion guide.field guide.rest
-search.knowledge search.greedy search.lazy search.rounds search.shorten
+search.knowledge search.greedy search.lazy search.rounds search.path_roadmap
 problems.problem problems.arrays problems.file problems.shards problems.camera
 problems.structures problems.shelves problems.furniture problems.clutter problems.families
 problems.family_problem problems.labelled problems.moveit_names
@@ -71,9 +71,9 @@ trajectory.limits trajectory.options trajectory.dynamics trajectory.curve trajec
 trajectory.clearance trajectory.timing trajectory.batches trajectory.needs trajectory.jerk
 trajectory.moves trajectory.trajectory trajectory.states trajectory.files
 planning.options planning.query planning.progress planning.goals planning.motions
-planning.strategy planning.walks planning.looks planning.guided planning.pool
-planning.batch planning.steps planning.shortening
-planning.shortcuts planning.tree planning.trees
+planning.strategy planning.sampled_search planning.looks planning.guided planning.pool
+planning.batch planning.steps planning.shorten_by_guide
+planning.shorten_by_tests planning.tree planning.trees
 planning.attempts planning.engine planning.planner planning.load planning.processes
 trajectory.control trajectory.simulate trajectory.steps trajectory.execution
 training.weights training.checkpoint training.optimizer training.parallel training.motions

@@ -131,7 +131,7 @@ def test_plans_come_with_their_motions(tiny_path, monkeypatch):
 
 def test_limits_of_motions_are_checked_before_planning(tiny_path, monkeypatch):
     planner = load_planner(load_robot(tiny_path), "lazysp", num_nodes=60)
-    monkeypatch.setattr(planners.WalkPlanner, "_plan_batch", lambda *_: pytest.fail("planned"))
+    monkeypatch.setattr(planners.SampledPlanner, "_plan_batch", lambda *_: pytest.fail("planned"))
     scene = make_scene([], [])
     with pytest.raises(InputError, match="tiny has no velocity limits; give velocity="):
         planner.plan(scene, [0.5, 1, 0], [-2, -1, 1], trajectory=True)

@@ -7,7 +7,7 @@ import pytest
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.clearances import base_clear
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError
 from gnnjax.planning.query import check_queries, check_query
 from gnnjax.problems.problem import Problem
@@ -93,7 +93,7 @@ def test_boxes_touch_the_base_where_the_kernels_say_so(robot, name):
     found = base_clear(robot, scenes)
     one = jax.tree.map(lambda x: x[7], scenes)
     np.testing.assert_array_equal(base_clear(robot, one), found[7])
-    kernel = jax.vmap(lambda s: boxes_clear(robot, s, jnp.asarray(robot.home), base_only=True))
+    kernel = jax.vmap(lambda s: obstacles_clear(robot, s, jnp.asarray(robot.home), base_only=True))
     np.testing.assert_array_equal(found, kernel(scenes))
     assert 50 < (~found).sum() < 950
 

@@ -13,11 +13,11 @@ from gnnjax.errors import InputError
 from gnnjax.problems.problem import sample_scene
 from gnnjax.scene.numbers import rotation_of
 from gnnjax.scene.scene import (
-    BOX_BUCKETS,
+    OBSTACLE_BUCKETS,
     Scene,
-    box_bucket,
     is_axis_aligned,
     make_scene,
+    obstacle_bucket,
     pad_scene,
     rotation_matrices,
 )
@@ -41,8 +41,8 @@ def written(tmp_path, text: str):
 
 def test_boxes_come_first_and_padding_is_masked_but_has_a_size():
     scene = make_scene([[0, 0, 1], [1, 0, 1]], [[0.1, 0.2, 0.3]] * 2)
-    assert scene.centers.shape == scene.half_extents.shape == (BOX_BUCKETS[0], 3)
-    np.testing.assert_array_equal(scene.mask, np.arange(BOX_BUCKETS[0]) < 2)
+    assert scene.centers.shape == scene.half_extents.shape == (OBSTACLE_BUCKETS[0], 3)
+    np.testing.assert_array_equal(scene.mask, np.arange(OBSTACLE_BUCKETS[0]) < 2)
     assert (scene.half_extents > 0).all()
     np.testing.assert_allclose(np.linalg.norm(scene.quats, axis=1), 1)
     assert all(x.dtype == np.float32 for x in scene[:3])
@@ -93,7 +93,7 @@ def test_bad_boxes_are_named(arguments, message):
     ("num", "bucket"), [(0, 10), (9, 10), (10, 10), (11, 16), (17, 32), (64, 64)]
 )
 def test_a_bucket_is_the_smallest_that_fits(num, bucket):
-    assert box_bucket(num) == bucket
+    assert obstacle_bucket(num) == bucket
 
 
 def test_padding_keeps_the_boxes_of_a_batch():

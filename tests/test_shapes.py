@@ -16,7 +16,7 @@ from gnnjax.problems.problem import Problem, ProblemSet
 from gnnjax.scene import shapes
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import Balls
-from gnnjax.scene.mujoco_world import build_world, place_boxes
+from gnnjax.scene.mujoco_world import build_world, place_obstacles
 from gnnjax.scene.scene import inflated, scene_from_shapes
 from gnnjax.scene.scene_file import scene_to_json
 from gnnjax.scene.shapes import KINDS, TABLES, Shape, box, capsule, cylinder, for_every_kind, sphere
@@ -115,7 +115,7 @@ def test_what_is_no_shape_or_no_cloud_is_not_left_out_of_a_scene(shapes, clouds,
 
 def placed_in_mujoco(scene, tiny, file):
     model = build_world(tiny, len(scene.mask))
-    place_boxes(model, mujoco.MjData(model), scene)
+    place_obstacles(model, mujoco.MjData(model), scene)
 
 
 def saved_as_problems(scene, tiny, file):

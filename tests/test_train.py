@@ -35,7 +35,7 @@ jitted_targets = jax.jit(step_targets, static_argnums=1)
 def compiled_once():
     """Trainings that differ in nothing but their folders share what they compile."""
     optimizers, steps, planners = {}, {}, {}
-    make_step, make_planner = gnnjax.train.make_step, gnnjax.train.WalkPlanner
+    make_step, make_planner = gnnjax.train.make_step, gnnjax.train.SampledPlanner
 
     def shared_optimizer(config, num_steps):
         key = dataclasses.replace(config, out=Path(), resume=False), num_steps
@@ -52,7 +52,7 @@ def compiled_once():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gnnjax.train, "make_optimizer", shared_optimizer)
         patch.setattr(gnnjax.train, "make_step", shared_step)
-        patch.setattr(gnnjax.train, "WalkPlanner", shared_planner)
+        patch.setattr(gnnjax.train, "SampledPlanner", shared_planner)
         yield
 
 

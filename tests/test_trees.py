@@ -15,7 +15,7 @@ from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.progress import Limits, Progress
 from gnnjax.planning.query import path_length
-from gnnjax.planning.shortcuts import _POINTS, _cut, _shortest, _spread, cut_short
+from gnnjax.planning.shorten_by_tests import _POINTS, _cut, _shortest, _spread, cut_short
 from gnnjax.planning.tree import Tree
 from gnnjax.planning.trees import CHEAPLY, DRAWN, SPARINGLY, Outlook, _likely, grow
 from gnnjax.problems.problem import Problem

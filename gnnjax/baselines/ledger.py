@@ -16,7 +16,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import rests
 from gnnjax.collision.checker import make_checker
 from gnnjax.kept import keep
-from gnnjax.scene.mujoco_world import build_world, place_boxes
+from gnnjax.scene.mujoco_world import build_world, place_obstacles
 from gnnjax.scene.scene import Scene, make_scene
 
 
@@ -67,7 +67,9 @@ class Ledger:
 
 
 @functools.cache
-def fused_checks(robot: Robot, axis_aligned: bool, max_boxes: int, resolution: float) -> Callable:
+def fused_checks(
+    robot: Robot, axis_aligned: bool, max_obstacles: int, resolution: float
+) -> Callable:
     """Checks by the fused kernel. The end of an edge is tested first, its interior in the order of
     `check_edges`, all in one call."""
     checker = make_checker(robot, axis_aligned=axis_aligned, resolution=resolution)
@@ -116,21 +118,21 @@ def fused_checks(robot: Robot, axis_aligned: bool, max_boxes: int, resolution: f
 
     # Compiled here, outside of any query's time.
     none = np.zeros((0, 3))
-    blank = make_scene(none, none, max_boxes=max_boxes)
+    blank = make_scene(none, none, max_obstacles=max_obstacles)
     is_valid, test_edge = make(blank, Ledger())
     is_valid(home)
     test_edge(home, home)
     return make
 
 
-def mujoco_checks(robot: Robot, max_boxes: int) -> Callable:
+def mujoco_checks(robot: Robot, max_obstacles: int) -> Callable:
     """Checks by MuJoCo's C engine; OMPL's own motion validator takes the points of an edge."""
-    model = build_world(robot, max_boxes)
+    model = build_world(robot, max_obstacles)
     data = mujoco.MjData(model)
     lower, upper = robot.joint_lower, robot.joint_upper
 
     def make(scene: Scene, ledger: Ledger) -> tuple[Callable, None]:
-        place_boxes(model, data, scene)
+        place_obstacles(model, data, scene)
 
         def is_valid(q: np.ndarray) -> bool:
             if not ((q >= lower) & (q <= upper)).all():

@@ -168,11 +168,11 @@ class ClassicalPlanner:
         return simplified if holds and not ledger.cut_off else path
 
     @per_object(functools.cache)
-    def _checks_maker(self, axis_aligned: bool, max_boxes: int) -> Callable:
+    def _checks_maker(self, axis_aligned: bool, max_obstacles: int) -> Callable:
         """`(scene, ledger) -> (is_valid, test_edge)`, compiled for one padding of the scene."""
         if self.options.checker == "mujoco":
-            return mujoco_checks(self.robot, max_boxes)
-        return fused_checks(self.robot, axis_aligned, max_boxes, self.options.resolution)
+            return mujoco_checks(self.robot, max_obstacles)
+        return fused_checks(self.robot, axis_aligned, max_obstacles, self.options.resolution)
 
 
 class _Setting(NamedTuple):

@@ -5,7 +5,7 @@ generates straight-line code from the robot's constants (see `kinematics.py`); t
 MuJoCo's own collision functions on the spheres that the fused one tests first.
 
 Geoms that no joint moves (an arm's base) are not tested against boxes: no configuration changes
-the outcome. `boxes_clear` tests them, once a scene.
+the outcome. `obstacles_clear` tests them, once a scene.
 """
 
 from collections.abc import Callable

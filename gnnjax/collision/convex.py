@@ -35,7 +35,7 @@ class Parts(NamedTuple):
     radii: Float[Array, " T"]  # of the ball, m
 
 
-class Obstacles(NamedTuple):
+class Sums(NamedTuple):
     """N obstacles, each in its own frame."""
 
     half_extents: Float[Array, "3 N"]  # of the box, m
@@ -64,7 +64,7 @@ def separate_obstacles(
     part: Int[Array, " N"],
     position: Float[Array, "3 N"],
     rotation: Float[Array, "3 3 N"],
-    obstacles: Obstacles,
+    obstacles: Sums,
     direction: Float[Array, "3 N"] | None = None,
 ) -> Separation:
     """Bounds how far parts are from obstacles.
@@ -101,7 +101,7 @@ def separate_obstacles(
     return _separate(support, inner, radii, size, first)
 
 
-def _outwards(point: Vector, obstacles: Obstacles) -> Vector:
+def _outwards(point: Vector, obstacles: Sums) -> Vector:
     """From about the nearest point of obstacles to a point; from the middle where it is inside."""
     x, y, z = obstacles.half_extents
     sizes = x + obstacles.discs, y + obstacles.discs, z

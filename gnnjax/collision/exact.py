@@ -129,7 +129,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
             position, rotation = _seen(turned[..., lane], *frames[bodies[part], lane])
             position = position + obstacle.origin[:, lane]
             disc, ball = obstacle.radii[:, lane]
-            shapes = convex.Obstacles(obstacle.half_extents[:, lane], disc, ball)
+            shapes = convex.Sums(obstacle.half_extents[:, lane], disc, ball)
             return convex.separate_obstacles(hulls, part, position, rotation, shapes).gaps
 
         words = touching(obstacle, q, jnp.any(wanted).astype(jnp.int32))

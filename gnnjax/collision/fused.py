@@ -1,7 +1,7 @@
 """The fused kernels: what the arm's spheres prove, and the rest by its parts.
 
 Geoms that no joint moves (an arm's base) are not tested against obstacles: no configuration changes
-the outcome. `boxes_clear` tests them, once a scene.
+the outcome. `obstacles_clear` tests them, once a scene.
 """
 
 import functools
@@ -38,7 +38,7 @@ from gnnjax.scene.scene import Scene, rotation_matrices
 _OPEN_AT_ONCE, _OPEN_SHARE = 32, 16
 
 
-def boxes_clear(
+def obstacles_clear(
     robot: Robot, scene: Scene, q: Float[Array, " D"], *, base_only: bool = False
 ) -> Bool[Array, " M"]:
     """Tells for every obstacle of a scene whether the arm is clear of it; true on padding.

@@ -42,7 +42,7 @@ class Hulls:
         """Compiles what looks for planes."""
         part, three, one = np.zeros(1, int), np.zeros((3, 1)), np.zeros(1)
         nothing = part, three, np.zeros((3, 3, 1))
-        self._look(self._to_obstacles, *nothing, convex.Obstacles(three, one, one))
+        self._look(self._to_obstacles, *nothing, convex.Sums(three, one, one))
         self._look(self._to_parts, *nothing, part, three, one)
 
     def from_obstacles(
@@ -67,7 +67,7 @@ class Hulls:
         centers, axes, extents, disc, ball = obstacles.sums(number, scene)
         offset = frames[3] - centers
         position, rotation = _seen(axes, offset, frames[:3])
-        shapes = convex.Obstacles(extents, disc, ball + margin)
+        shapes = convex.Sums(extents, disc, ball + margin)
         directions = self._look(self._to_obstacles, part, position, rotation, shapes)
         # In the world: a column of `axes` is what the obstacle's axes are there.
         normal = _unit(dot(axes, directions))
@@ -131,9 +131,7 @@ class Hulls:
             asked[chosen] = True
             of = row[chosen]
             seen = frames[..., of]
-            shapes = convex.Obstacles(
-                np.zeros(points[:, chosen].shape), 0 * of, ball[of] + margin[of]
-            )
+            shapes = convex.Sums(np.zeros(points[:, chosen].shape), 0 * of, ball[of] + margin[of])
             normal = _unit(
                 self._look(
                     self._to_obstacles,

@@ -38,7 +38,7 @@ from gnnjax.collision.components import in_components
 from gnnjax.collision.fused import CollisionFunctions
 from gnnjax.collision.spheres import FAR, moved_by_joint
 from gnnjax.scene.allowed import refuse_allowed
-from gnnjax.scene.scene import Scene, last_box, rotation_matrices
+from gnnjax.scene.scene import Scene, last_obstacle, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints when the optional Warp is missing
@@ -95,7 +95,7 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
             )
             if scene.mask.ndim > 1:
                 obstacles = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), obstacles)
-            num = last_box(exists)
+            num = last_obstacle(exists)
 
             def going_on(state: tuple[jax.Array, jax.Array], num=num) -> jax.Array:
                 i, smallest = state

@@ -237,7 +237,7 @@ def clear_of_points(
                 point = [x[lanes, chosen][:, 0] for x in state.points.middles]
                 asked = ~state.touching & state.points.left()
                 nothing = jnp.zeros_like(ball)
-                shapes = convex.Obstacles(
+                shapes = convex.Sums(
                     jnp.stack([nothing] * 3), nothing, jnp.where(asked, ball, _NOTHING)
                 )
                 found = convex.separate_obstacles(

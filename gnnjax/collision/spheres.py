@@ -27,7 +27,7 @@ from gnnjax.arm.kinematics import (
 )
 from gnnjax.arm.robot import Robot
 from gnnjax.scene.geometry import squared_distance
-from gnnjax.scene.scene import Scene, last_box, rotation_matrices
+from gnnjax.scene.scene import Scene, last_obstacle, rotation_matrices
 
 # Pairs of the arm's own spheres in one pass. The compiler turns a pass into a single loop over the
 # batch. It splits what exceeds 2,000 operations into functions, and where it fails to join them
@@ -91,7 +91,7 @@ def place(scenes: Scene, axis_aligned: bool) -> Placed:
         rotations = rotation_matrices(scenes.quats).swapaxes(-1, -2)
         origins = jnp.sum(rotations * origins[..., None, :], axis=-1)
     allowed = None if scenes.allowed is None else scenes.allowed.pairs
-    num = jax.vmap(last_box)(exists)
+    num = jax.vmap(last_obstacle)(exists)
     parts = Placed(origins, rotations, scenes.half_extents, scenes.radii, allowed, num)
     return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), parts)
 

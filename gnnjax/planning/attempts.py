@@ -20,7 +20,7 @@ from gnnjax.planning.guided import JUDGED, Guided
 from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.pool import Pool, in_chunks, size_for, take
 from gnnjax.planning.progress import Limits
-from gnnjax.planning.shortening import Shortener
+from gnnjax.planning.shorten_by_guide import Shortener
 from gnnjax.planning.steps import check_routes
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import without_points

@@ -14,7 +14,7 @@ from gnnjax.planning.attempts import Attempts
 from gnnjax.planning.options import CHEAP
 from gnnjax.planning.pool import Pool, sizes_up_to
 from gnnjax.planning.query import Plan
-from gnnjax.planning.shortcuts import cut_short
+from gnnjax.planning.shorten_by_tests import cut_short
 from gnnjax.planning.trees import CHEAPLY, DRAWN, HASTY_ROUNDS, SPARINGLY, Outlook, grow
 from gnnjax.search.knowledge import INVALID
 

@@ -30,8 +30,8 @@ from gnnjax.roadmap.stored import (
     stored_roadmap,
 )
 from gnnjax.search.knowledge import UNKNOWN, ends_known
+from gnnjax.search.path_roadmap import PATH_POINTS
 from gnnjax.search.rounds import Priced, keep_cheapest
-from gnnjax.search.shorten import PATH_POINTS
 
 JUDGED = 16  # edges of a path that are looked at in a round
 

@@ -13,7 +13,7 @@ from gnnjax.guide.rest import with_rest
 from gnnjax.planning import strategy
 from gnnjax.planning.guided import Guided
 from gnnjax.planning.options import PlannerOptions, check_options, make_options
-from gnnjax.planning.planner import GuidedPlanner, Planner, WalkPlanner
+from gnnjax.planning.planner import GuidedPlanner, Planner, SampledPlanner
 from gnnjax.planning.query import QueryPlanner
 from gnnjax.roadmap.graph import Roadmap
 from gnnjax.scene.scene import Scene
@@ -104,11 +104,11 @@ def make_planner(
     if name in ("gnn", "gnn_lazy"):
         from gnnjax.paper import strategy as paper
 
-        return WalkPlanner(robot, paper.from_weights(robot, options), options)
+        return SampledPlanner(robot, paper.from_weights(robot, options), options)
     if scorer is not None:
         chosen = strategy.greedy(robot, options, scorer)
-        return WalkPlanner(robot, chosen, options, {"scorer": scorer})
-    return WalkPlanner(robot, _STRATEGIES[name](robot, options), options)
+        return SampledPlanner(robot, chosen, options, {"scorer": scorer})
+    return SampledPlanner(robot, _STRATEGIES[name](robot, options), options)
 
 
 def _guide(robot: Robot, options: PlannerOptions) -> Guide:

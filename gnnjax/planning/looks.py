@@ -9,7 +9,7 @@ from gnnjax.guide.guide import RISK_WEIGHT, Guide
 from gnnjax.kept import keep
 from gnnjax.per_object import per_object
 from gnnjax.scene.scene import Scene, without_meant
-from gnnjax.search.shorten import PATH_POINTS, shortened, spread_along
+from gnnjax.search.path_roadmap import PATH_POINTS, shortened, spread_along
 
 # Most pieces that a motion is looked at in; the longest edge is that from start to goal.
 EDGE_PIECES, SHORTCUT_PIECES, LOCAL_PIECES = 16, 12, 6

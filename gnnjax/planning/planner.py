@@ -24,8 +24,8 @@ from gnnjax.planning.motions import motion_options, with_motions
 from gnnjax.planning.options import PlannerOptions, check_options
 from gnnjax.planning.progress import Limits
 from gnnjax.planning.query import Plan, plan_valid
+from gnnjax.planning.sampled_search import CompiledStrategy, SampledSearch, compile_strategy
 from gnnjax.planning.strategy import Strategy
-from gnnjax.planning.walks import Compiled, Walks, compile_strategy
 from gnnjax.pose.goal import PoseGoal, check_goal
 from gnnjax.pose.inverse import prepare
 from gnnjax.problems.problem import Problem
@@ -237,25 +237,27 @@ class GuidedPlanner(Planner):
         return SequenceTester(self.robot, checker, options.resolution)
 
 
-class WalkPlanner(Planner):
-    """Plans on sampled roadmaps, one problem after the other (`walks.py`)."""
+class SampledPlanner(Planner):
+    """Plans on sampled roadmaps, one problem after the other (`sampled_search.py`)."""
 
     strategy: Strategy
 
     def _plan_batch(self, problems: Problem, seed: int, limits: Limits) -> list[Plan]:
-        return self._walks(problems, seed, limits).run()
+        return self._search_of(problems, seed, limits).run()
 
     @on_host()
     def warm_up(self, scene: Scene, batch_size: int = 1) -> None:
         _check_size(batch_size)
-        self._walks(self._at_home(scene, batch_size), 0, Limits()).warm_up()
+        self._search_of(self._at_home(scene, batch_size), 0, Limits()).warm_up()
 
-    def _walks(self, problems: Problem, seed: int, limits: Limits) -> Walks:
+    def _search_of(self, problems: Problem, seed: int, limits: Limits) -> SampledSearch:
         compiled = self._compiled(is_axis_aligned(problems.scene))
-        return Walks(self.robot, self.strategy, self.options, limits, compiled, problems, seed)
+        return SampledSearch(
+            self.robot, self.strategy, self.options, limits, compiled, problems, seed
+        )
 
     @per_object(functools.cache)
-    def _compiled(self, axis_aligned: bool) -> Compiled:
+    def _compiled(self, axis_aligned: bool) -> CompiledStrategy:
         return compile_strategy(self.robot, self.strategy, self.options, axis_aligned)
 
 

@@ -1,8 +1,8 @@
 """What tells planners on sampled roadmaps apart: how one is searched.
 
-A `Strategy` is a few pure functions for one problem; `walks.py` compiles them, runs them over
-problems and roadmaps, counts, and certifies what comes out. Here are the strategies that need no
-network; the paper's are in `gnnjax.paper.strategy`.
+A `Strategy` is a few pure functions for one problem; `sampled_search.py` compiles them, runs them
+over problems and roadmaps, counts, and certifies what comes out. Here are the strategies that need
+no network; the paper's are in `gnnjax.paper.strategy`.
 """
 
 from collections.abc import Callable

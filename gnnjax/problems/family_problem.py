@@ -50,7 +50,7 @@ def sample_family_problem(
     family: str,
     robot: Robot,
     check_configurations: Callable[[Scene, jax.Array], jax.Array],
-    boxes_clear: Callable[[Scene], Bool[Array, " M"]],
+    obstacles_clear: Callable[[Scene], Bool[Array, " M"]],
 ) -> FamilyProblem:
     """Draws a problem of a family: start and goal uniform among valid configurations whose tip is
     in its region.
@@ -63,14 +63,14 @@ def sample_family_problem(
         family: a key of `FAMILIES`.
         robot: the arm; for "upright", one that holds something.
         check_configurations: of a `Checker` for rotated boxes.
-        boxes_clear: tells for each obstacle whether the geoms that no joint moves are clear of it.
+        obstacles_clear: tells for each obstacle whether what no joint moves is clear of it.
     """
 
     def attempt(number: jax.Array) -> FamilyProblem:
         keys = jax.random.split(jax.random.fold_in(key, number), 3)
         drawn = draw_family_scene(keys[0], family, robot)
         check = functools.partial(check_configurations, drawn.scene)
-        clear = jnp.all(boxes_clear(drawn.scene))
+        clear = jnp.all(obstacles_clear(drawn.scene))
 
         def find_end(wanted, end):
             end_key, region = end

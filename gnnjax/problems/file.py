@@ -27,7 +27,7 @@ from gnnjax.scene.allowed import refuse_allowed
 from gnnjax.scene.batches import same_clouds
 from gnnjax.scene.cloud import MOST_METERS, Balls, make_cloud
 from gnnjax.scene.numbers import unit_quats
-from gnnjax.scene.scene import Scene, box_bucket, pad_scene
+from gnnjax.scene.scene import Scene, obstacle_bucket, pad_scene
 from gnnjax.scene.shapes import (
     FIELDS,
     KINDS,
@@ -141,7 +141,7 @@ def load_file(path: Path, robot: Robot) -> ProblemSet:
     most = int(mask.sum(axis=1).max())
     parts = [np.take_along_axis(x, order[..., None], axis=1)[:, :most] for x in joined[:4]]
     scene = Scene._make([*parts, np.take_along_axis(mask, order, axis=1)[:, :most], None, None])
-    scene = pad_scene(scene, box_bucket(most, f"problem file {str(path)!r}"))
+    scene = pad_scene(scene, obstacle_bucket(most, f"problem file {str(path)!r}"))
     if arrays.keys() & set(CLOUD):
         scene = _with_clouds(path, arrays, scene)
     return ProblemSet(robot.name, Problem(start, goal, scene), extras)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import Backend, Checker, make_checker
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.devices import map_first, on_all_cores
 from gnnjax.errors import InputError
 from gnnjax.kept import keep
@@ -106,7 +106,7 @@ def _problem_sampler(
 ) -> tuple[Callable[[jax.Array], tuple[Problem, jax.Array]], Checker]:
     """`key -> (problem, whether one was found)`, and the checker for the family's scenes."""
     zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
-    clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
+    clear = functools.partial(obstacles_clear, robot, q=jnp.asarray(zero))
     if family == "paper":
         check = make_checker(robot, checker, axis_aligned=True)
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.roadmap.sampled import sample_free
-from gnnjax.scene.scene import BOX_BUCKETS, Scene, box_scene
+from gnnjax.scene.scene import OBSTACLE_BUCKETS, Scene, box_scene
 from gnnjax.scene.shapes import IDENTITY_QUAT
 
 
@@ -80,9 +80,9 @@ class ProblemSet:
 
 def sample_scene(
     key: jax.Array,
-    boxes_clear: Callable[[Scene], Bool[Array, " M"]],
+    obstacles_clear: Callable[[Scene], Bool[Array, " M"]],
     *,
-    max_boxes: int = BOX_BUCKETS[0],
+    max_obstacles: int = OBSTACLE_BUCKETS[0],
     min_num: int = 2,
     max_num: int = 9,
     candidates: int = 8,
@@ -96,20 +96,20 @@ def sample_scene(
 
     Args:
         key: randomness.
-        boxes_clear: tells for each obstacle of a scene whether the arm at q = 0 is clear of it.
+        obstacles_clear: tells for each obstacle of a scene whether the arm at q = 0 is clear of it.
     """
     num_key, size_key, center_key = jax.random.split(key, 3)
-    shape = (max_boxes * candidates, 3)
+    shape = (max_obstacles * candidates, 3)
     half_extents = jax.random.uniform(size_key, shape, minval=0.1, maxval=0.3)
     centers = jax.random.uniform(
         center_key, shape, minval=jnp.array([-1.0, -1.0, 0.5]), maxval=jnp.array([1.0, 1.0, 1.3])
     )
     quats = jnp.tile(jnp.array(IDENTITY_QUAT), (shape[0], 1))
     everything = box_scene(centers, half_extents, quats, jnp.ones(shape[0], bool))
-    clear = boxes_clear(everything).reshape(max_boxes, candidates)
-    chosen = jnp.arange(max_boxes) * candidates + jnp.argmax(clear, axis=1)
+    clear = obstacles_clear(everything).reshape(max_obstacles, candidates)
+    chosen = jnp.arange(max_obstacles) * candidates + jnp.argmax(clear, axis=1)
     num = jax.random.randint(num_key, (), min_num, max_num + 1)
-    mask = (jnp.arange(max_boxes) < num) & jnp.any(clear, axis=1)
+    mask = (jnp.arange(max_obstacles) < num) & jnp.any(clear, axis=1)
     return box_scene(centers[chosen], half_extents[chosen], quats[chosen], mask)
 
 
@@ -117,7 +117,7 @@ def sample_problem(
     key: jax.Array,
     robot: Robot,
     check_configurations: Callable[[Scene, jax.Array], jax.Array],
-    boxes_clear: Callable[[Scene], Bool[Array, " M"]],
+    obstacles_clear: Callable[[Scene], Bool[Array, " M"]],
 ) -> Problem:
     """Draws a problem of the paper: a random scene, start and goal uniform in its free space.
 
@@ -127,10 +127,10 @@ def sample_problem(
         key: randomness.
         robot: the arm.
         check_configurations: of a `Checker`.
-        boxes_clear: tells for each obstacle whether the arm at q = 0 is clear of it.
+        obstacles_clear: tells for each obstacle whether the arm at q = 0 is clear of it.
     """
     scene_key, ends_key = jax.random.split(key)
-    scene = sample_scene(scene_key, boxes_clear)
+    scene = sample_scene(scene_key, obstacles_clear)
 
     def check(q: jax.Array) -> jax.Array:
         return check_configurations(scene, q)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from gnnjax.scene.scene import Scene, box_bucket, box_scene, rotation_matrices
+from gnnjax.scene.scene import Scene, box_scene, obstacle_bucket, rotation_matrices
 
 THIN = 0.012  # half the thickness of walls and boards
 FAR = 2.0  # beyond all that the arm reaches
@@ -131,7 +131,7 @@ def round_ones(
 def joined(*scenes: Scene) -> Scene:
     """Joins scenes, and pads them to a box bucket."""
     joined = jax.tree.map(lambda *x: jnp.concatenate(x), *scenes)
-    missing = box_bucket(len(joined.mask)) - len(joined.mask)
+    missing = obstacle_bucket(len(joined.mask)) - len(joined.mask)
     blank = box_scene(
         jnp.zeros((missing, 3)),
         jnp.full((missing, 3), 0.1),

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from gnnjax.arm.kinematics import Vector
 from gnnjax.scene.geometry import signed_distance
 from gnnjax.scene.lookup import distances_to
-from gnnjax.scene.scene import Scene, last_box, rotation_matrices
+from gnnjax.scene.scene import Scene, last_obstacle, rotation_matrices
 
 _FAR = 10.0  # m; what a scene without obstacles is away from everything
 
@@ -79,6 +79,6 @@ def distance_field(grid: Grid) -> Callable[[Scene], Float[Array, " V"]]:
         if scene.cloud is not None:
             away = distances_to(scene.cloud, [jnp.asarray(side) for side in (x, y, z)])
             nearest = jnp.where(away < nearest, away, nearest)
-        return jax.lax.fori_loop(0, last_box(scene.mask), nearer, nearest).ravel()
+        return jax.lax.fori_loop(0, last_obstacle(scene.mask), nearer, nearest).ravel()
 
     return field

@@ -44,20 +44,20 @@ _CLOUD = "cloud of points"  # the body that holds it
 _OBSTACLE = {"contype": _ALL_BITS, "conaffinity": _ALL_BITS, "rgba": [0.75, 0.55, 0.35, 1.0]}
 
 
-def build_world(robot: Robot, max_boxes: int, cloud: Cloud | None = None) -> mujoco.MjModel:
+def build_world(robot: Robot, max_obstacles: int, cloud: Cloud | None = None) -> mujoco.MjModel:
     """Compiles the world of `world_spec`."""
-    return world_spec(robot, max_boxes, cloud).compile()
+    return world_spec(robot, max_obstacles, cloud).compile()
 
 
-def world_spec(robot: Robot, max_boxes: int, cloud: Cloud | None = None) -> mujoco.MjSpec:
-    """The arm with `max_boxes` movable obstacles, which `obstacles` finds.
+def world_spec(robot: Robot, max_obstacles: int, cloud: Cloud | None = None) -> mujoco.MjSpec:
+    """The arm with `max_obstacles` movable obstacles, which `obstacles` finds.
 
     Each is a mocap body of its own. A geom that sits in the worldbody and is moved after
     compilation would keep the bounding volume of its old place, and the C engine would miss it.
 
     Args:
         robot: the arm.
-        max_boxes: M.
+        max_obstacles: M.
         cloud: of the scene; a sphere for each of its points, none of which can be moved.
     """
     spec = robot.mj_spec.copy()
@@ -70,7 +70,7 @@ def world_spec(robot: Robot, max_boxes: int, cloud: Cloud | None = None) -> mujo
     paired = _paired_alone(robot)
     if cloud is not None:
         _add_cloud(spec, cloud, ignored, paired)
-    for i in range(max_boxes):
+    for i in range(max_obstacles):
         body = spec.worldbody.add_body(name=f"{prefix}{i}", mocap=True, pos=[FAR_AWAY, 0, i])
         # All bits: an obstacle meets whatever collision group a robot's author chose.
         body.add_geom(
@@ -107,9 +107,9 @@ def _add_cloud(spec: mujoco.MjSpec, cloud: Cloud, ignored: list[str], paired: li
     ignored.append(_CLOUD)
 
 
-def obstacles(model: mujoco.MjModel, max_boxes: int) -> Obstacles:
+def obstacles(model: mujoco.MjModel, max_obstacles: int) -> Obstacles:
     """The obstacles of a world from `build_world`, in the order of a scene's."""
-    last = np.arange(-max_boxes, 0)
+    last = np.arange(-max_obstacles, 0)
     return Obstacles(model.nbody + last, model.ngeom + last, model.nmocap + last)
 
 
@@ -136,7 +136,7 @@ def _paired_alone(robot: Robot) -> list[str]:
     ]
 
 
-def place_boxes(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
+def place_obstacles(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
     """Gives the obstacles of a world a scene's kinds, places and sizes, in place.
 
     Raises:
@@ -185,7 +185,7 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
     cloud, by the distances of points to the arm's parts."""
     model = _cached_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene._replace(cloud=None, allowed=None))
+    place_obstacles(model, data, scene._replace(cloud=None, allowed=None))
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     parts, names = robot.part_geom_ids.tolist(), [part.name for part in robot.parts]
@@ -218,7 +218,7 @@ def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
     of what was seen."""
     model = _cached_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene._replace(cloud=None, allowed=None))
+    place_obstacles(model, data, scene._replace(cloud=None, allowed=None))
     mujoco.mj_kinematics(model, data)
     if i == len(scene.mask) and scene.cloud is not None:
         cloud = scene.cloud._replace(radius=np.float32(0))
@@ -269,5 +269,5 @@ def depth_of(model: mujoco.MjModel, data: mujoco.MjData, first: int, second: int
 
 
 @functools.lru_cache(maxsize=8)
-def _cached_world(robot: Robot, max_boxes: int) -> mujoco.MjModel:
-    return build_world(robot, max_boxes)
+def _cached_world(robot: Robot, max_obstacles: int) -> mujoco.MjModel:
+    return build_world(robot, max_obstacles)

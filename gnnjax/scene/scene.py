@@ -20,7 +20,7 @@ from gnnjax.scene.shapes import (
 )
 
 # Padded numbers of obstacles; one compilation each. The first holds the paper's 2 to 9 boxes.
-BOX_BUCKETS = (10, 16, 32, 64, 128)
+OBSTACLE_BUCKETS = (10, 16, 32, 64, 128)
 
 _BLANK_SIZE = 0.1  # m; padding has a size, so that nothing divides by zero
 
@@ -58,13 +58,13 @@ def box_scene(
     return Scene._make([centers, half_extents, quats, radii, mask, None, None])
 
 
-def box_bucket(num: int, source: str = "the scene") -> int:
+def obstacle_bucket(num: int, source: str = "the scene") -> int:
     """The padded number of obstacles for a scene of `num`."""
-    for bucket in BOX_BUCKETS:
+    for bucket in OBSTACLE_BUCKETS:
         if num <= bucket:
             return bucket
     raise InputError(
-        f"{source} has {num} obstacles; at most {BOX_BUCKETS[-1]} are supported, merge some"
+        f"{source} has {num} obstacles; at most {OBSTACLE_BUCKETS[-1]} are supported, merge some"
     )
 
 
@@ -72,7 +72,7 @@ def scene_from_shapes(
     shapes: Sequence,
     *,
     clouds: Sequence = (),
-    max_boxes: int | None = None,
+    max_obstacles: int | None = None,
     source: str = "the scene",
 ) -> Scene:
     """Builds a scene of any obstacles: `scene_from_shapes([box(...), cylinder(...)])`.
@@ -81,7 +81,7 @@ def scene_from_shapes(
         shapes: what stands there; boxes come first in the scene, then each other kind.
         clouds: what stands there in other forms, made by `point_cloud`, `mesh` and `height_field`;
             the balls of all get the greatest of their radii.
-        max_boxes: padded number; by default the smallest bucket that fits.
+        max_obstacles: padded number; by default the smallest bucket that fits.
         source: how error messages call the scene, a file name for example.
 
     Raises:
@@ -104,7 +104,9 @@ def scene_from_shapes(
     num = len(joined[0])
     cloud = make_cloud(clouds, source) if clouds else None
     scene = Scene._make([*(x.astype(np.float32) for x in joined), np.ones(num, bool), cloud, None])
-    return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
+    return pad_scene(
+        scene, obstacle_bucket(num, source) if max_obstacles is None else max_obstacles
+    )
 
 
 _NOTHING = Sums(*(np.zeros((0, width)) for width in (3, 3, 4, 2)))
@@ -115,7 +117,7 @@ def make_scene(
     half_extents: Sequence | np.ndarray,
     quats: Sequence | np.ndarray | None = None,
     *,
-    max_boxes: int | None = None,
+    max_obstacles: int | None = None,
     source: str = "the scene",
 ) -> Scene:
     """Builds a scene of boxes from `[M, 3]`, `[M, 3]` and `[M, 4]` (or no quaternions).
@@ -124,7 +126,7 @@ def make_scene(
         centers: box centres, m.
         half_extents: half the edge lengths, m.
         quats: orientations w x y z; normalized here.
-        max_boxes: padded size; by default the smallest bucket that fits.
+        max_obstacles: padded size; by default the smallest bucket that fits.
         source: how error messages call the scene, a file name for example.
 
     Raises:
@@ -137,17 +139,19 @@ def make_scene(
     sums = sums_from("box", given, source)
     num = len(sums.centers)
     scene = Scene._make([*(x.astype(np.float32) for x in sums), np.ones(num, bool), None, None])
-    return pad_scene(scene, box_bucket(num, source) if max_boxes is None else max_boxes)
+    return pad_scene(
+        scene, obstacle_bucket(num, source) if max_obstacles is None else max_obstacles
+    )
 
 
-def pad_scene(scene: Scene, max_boxes: int) -> Scene:
-    """Pads a scene `[*batch, M]` with obstacles that do not exist, up to `max_boxes`. Of NumPy's
-    arrays, or inside of compiled functions."""
-    missing = max_boxes - scene.mask.shape[-1]
+def pad_scene(scene: Scene, max_obstacles: int) -> Scene:
+    """Pads a scene `[*batch, M]` with obstacles that do not exist, up to `max_obstacles`; of
+    NumPy's arrays, or inside of compiled functions."""
+    missing = max_obstacles - scene.mask.shape[-1]
     if missing < 0:
         raise InputError(
-            f"the scene has room for {scene.mask.shape[-1]} obstacles, more than {max_boxes}; "
-            "raise max_boxes"
+            f"the scene has room for {scene.mask.shape[-1]} obstacles, more than {max_obstacles}; "
+            "raise max_obstacles"
         )
     arrays = np if isinstance(scene.mask, np.ndarray) else jnp
 
@@ -192,7 +196,7 @@ def is_axis_aligned(scene: Scene) -> bool:
     return bool((np.abs(quats[:, 1:]) < 1e-7).all())
 
 
-def last_box(mask: Bool[Array, "*batch M"]) -> Int[Array, ""]:
+def last_obstacle(mask: Bool[Array, "*batch M"]) -> Int[Array, ""]:
     """How many boxes have to be looked at: none after the last that exists in any scene."""
     return jnp.max(jnp.where(mask, jnp.arange(1, mask.shape[-1] + 1), 0), initial=0)
 

@@ -16,7 +16,7 @@ from gnnjax.scene.numbers import number_of
 from gnnjax.scene.octomap import octomap
 from gnnjax.scene.own_points import MARGIN, without_robot
 from gnnjax.scene.point_files import points_from_file
-from gnnjax.scene.scene import Scene, box_bucket, scene_from_shapes
+from gnnjax.scene.scene import Scene, obstacle_bucket, scene_from_shapes
 from gnnjax.scene.shapes import (
     FIELDS,
     IDENTITY_QUAT,
@@ -150,7 +150,9 @@ def shapes_of(data: dict[str, Any], others: Sequence[str], called: str, short: s
         )
     for name, listed in data.items():
         _listed(listed, name, called)
-    box_bucket(sum(map(len, data.values())), called)  # too many are refused before each is read
+    obstacle_bucket(
+        sum(map(len, data.values())), called
+    )  # too many are refused before each is read
     return [
         Shape(kind, _checked(kind, values, f"{kind} {i} of {short}"))
         for kind, name in _LISTS.items()

@@ -12,15 +12,15 @@ from jaxtyping import Array, Bool, Float
 
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.checker import make_checker
-from gnnjax.collision.fused import boxes_clear
+from gnnjax.collision.fused import obstacles_clear
 from gnnjax.devices import map_first
 from gnnjax.problems.families import BOX_FAMILIES
 from gnnjax.problems.family_problem import draw_family_scene
 from gnnjax.problems.problem import sample_scene
-from gnnjax.scene.scene import BOX_BUCKETS, Scene, pad_scene
+from gnnjax.scene.scene import OBSTACLE_BUCKETS, Scene, pad_scene
 from gnnjax.training.parallel import on_each_device
 
-_MAX_BOXES = BOX_BUCKETS[2]  # what the largest family has
+_MAX_BOXES = OBSTACLE_BUCKETS[2]  # what the largest family has
 _PAPER_SHARE = 0.5  # of the scenes; the families share the rest
 
 
@@ -35,7 +35,7 @@ class Motions(NamedTuple):
 def scene_sampler(robot: Robot) -> Callable[[jax.Array], Scene]:
     """Makes `key -> Scene`: the paper's, or of a family drawn at random, half of each."""
     zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
-    clear = functools.partial(boxes_clear, robot, q=jnp.asarray(zero))
+    clear = functools.partial(obstacles_clear, robot, q=jnp.asarray(zero))
 
     def paper(key: jax.Array) -> Scene:
         return pad_scene(sample_scene(key, clear), _MAX_BOXES)

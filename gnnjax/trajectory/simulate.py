@@ -18,7 +18,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.devices import num_cores
 from gnnjax.errors import InputError, check_number
 from gnnjax.scene.allowed import last_link
-from gnnjax.scene.mujoco_world import obstacles, place_boxes, world_spec
+from gnnjax.scene.mujoco_world import obstacles, place_obstacles, world_spec
 from gnnjax.scene.scene import Scene
 from gnnjax.trajectory.control import Law
 from gnnjax.trajectory.states import Setpoints
@@ -103,7 +103,7 @@ def placed(model: mujoco.MjModel, scene: Scene) -> mujoco.MjModel:
     """A copy of a world with the obstacles of another scene, of as many and of the same cloud."""
     model = copy.copy(model)
     data = mujoco.MjData(model)
-    place_boxes(model, data, scene)
+    place_obstacles(model, data, scene)
     # Rollouts begin with mocap bodies where their model has them.
     found = obstacles(model, len(scene.mask))
     model.body_pos[found.bodies] = data.mocap_pos[found.mocaps]

@@ -27,7 +27,7 @@ from gnnjax.scene.scene import Scene
 from gnnjax.search.knowledge import INVALID, SearchResult, unknown_edges
 
 
-class Compiled(NamedTuple):
+class CompiledStrategy(NamedTuple):
     """A strategy's functions over P problems, compiled on their first call.
 
     `propose`: `(key, problems, rows, num)`; `search`: `(weights, roadmaps, scenes, status, rows,
@@ -40,7 +40,7 @@ class Compiled(NamedTuple):
 
 def compile_strategy(
     robot: Robot, strategy: Strategy, options: PlannerOptions, axis_aligned: bool
-) -> Compiled:
+) -> CompiledStrategy:
     """Makes the jitted parts of a query."""
     checker = make_checker(
         robot, options.checker, axis_aligned=axis_aligned, resolution=options.resolution
@@ -75,10 +75,10 @@ def compile_strategy(
 
         return map_first(one, num, (roadmaps, scenes, status), rows)
 
-    return Compiled(propose, search)
+    return CompiledStrategy(propose, search)
 
 
-class Walks(Progress):
+class SampledSearch(Progress):
     """P problems on their way."""
 
     def __init__(
@@ -87,7 +87,7 @@ class Walks(Progress):
         strategy: Strategy,
         options: PlannerOptions,
         limits: Limits,
-        compiled: Compiled,
+        compiled: CompiledStrategy,
         problems: Problem,
         seed: int,
     ):

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 from gnnjax.collision.edges import EdgeChecks
 from gnnjax.roadmap.graph import GOAL
 from gnnjax.search.lazy import lazy_search
-from gnnjax.search.shorten import path_roadmap, shortened, spread_evenly
+from gnnjax.search.path_roadmap import path_roadmap, shortened, spread_evenly
 
 NUM = 12
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from gnnjax.devices import map_first
-from gnnjax.planning.shortening import PathRoadmaps
+from gnnjax.planning.shorten_by_guide import PathRoadmaps
 from gnnjax.roadmap.graph import GOAL, START
 from gnnjax.search.knowledge import INVALID, UNKNOWN, VALID, Knowledge
+from gnnjax.search.path_roadmap import path_roadmap
 from gnnjax.search.rounds import Priced, cheapest_route
-from gnnjax.search.shorten import path_roadmap
 
 NUM, POINTS = 12, 9
 

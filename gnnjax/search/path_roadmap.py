@@ -2,7 +2,7 @@
 
 What a guide says of a motion costs no check. So a path is first shortened in the guide's eyes:
 points along it make a small roadmap in which all are joined to all, and the cheapest way through
-that is a shorter path. Only then is it checked (`planning/shortening.py`).
+that is a shorter path. Only then is it checked (`planning/shorten_by_guide.py`).
 """
 
 from collections.abc import Callable
