@@ -12,6 +12,8 @@ from tests.compiling import ENVIRONMENT
 
 os.environ.update(ENVIRONMENT)  # which commands that tests start read, too
 
+import jax
+import numpy as np
 import pytest
 from _pytest.unraisableexception import gc_collect_iterations_key
 from jax._src.api import clean_up
@@ -22,6 +24,8 @@ from gnnjax.collision import bounds, certify, sequences, spheres
 from gnnjax.planning import attempts, pool
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
+from gnnjax.problems.problem import Problem
+from gnnjax.scene.scene import make_scene
 from tests.arms import CAPSULES
 
 # Arms that tests make up have few spheres a part, which leave more to the parts themselves.
@@ -86,6 +90,18 @@ def in_tables(monkeypatch):
     """As of arms with many spheres: several passes, and tables of pairs with some in a row."""
     for name, value in {"_MOST_IN_CODE": 0, "_PAIRS_A_ROW": 16, "_SPHERES_A_PASS": 16}.items():
         monkeypatch.setattr(spheres, name, value)
+
+
+@pytest.fixture(scope="session")
+def walled():
+    """A problem of that arm, whose straight line is blocked by three boxes, `[1, ...]`."""
+    scene = make_scene(
+        [[0.55, 0.35, 0.1], [0.45, -0.4, 0.3], [0.0, 0.0, 0.9]],
+        np.full((3, 3), 0.12),
+        max_obstacles=3,
+    )
+    start, goal = np.array([[1.6, 0.0, 0.0], [-1.6, 0.0, 0.3]], np.float32)
+    return jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
 
 
 @pytest.fixture(scope="module")

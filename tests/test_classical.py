@@ -7,7 +7,6 @@ import sys
 import jax
 import numpy as np
 import pytest
-from fine_scan import collides_anywhere
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.baselines.ledger import Ledger
@@ -21,8 +20,8 @@ from gnnjax.measure.rows import within
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
 from gnnjax.planning.planner import Planner
-from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
+from tests.fine_scan import collides_anywhere
 
 PLANNERS = ["ompl:rrt_connect", "ompl:rrt_star", "ompl:bit_star", "ompl:prm"]
 CHECKERS = ["fused", "mujoco"]
@@ -32,18 +31,6 @@ NUM_BOXES = 3  # in all scenes here, so that little is compiled
 @pytest.fixture(scope="module")
 def robot(tiny_path):
     return load_robot(tiny_path)
-
-
-@pytest.fixture(scope="module")
-def walled():
-    """One problem whose straight line is blocked."""
-    scene = make_scene(
-        [[0.55, 0.35, 0.1], [0.45, -0.4, 0.3], [0.0, 0.0, 0.9]],
-        np.full((3, 3), 0.12),
-        max_obstacles=3,
-    )
-    start, goal = np.array([[1.6, 0.0, 0.0], [-1.6, 0.0, 0.3]], np.float32)
-    return jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
 
 
 @pytest.fixture(scope="module")

@@ -6,14 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fine_scan import random_scene
 
 from gnnjax.arm.robot import load_robot
 from gnnjax.baselines.ledger import Ledger, fused_checks, mujoco_checks
 from gnnjax.collision.checker import make_checker
 from gnnjax.digest import digest
-from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import make_scene
+from tests.fine_scan import random_scene
 
 CHECKERS = ["fused", "mujoco"]
 
@@ -24,18 +23,6 @@ NUM_BOXES = 3  # in all scenes here, so that little is compiled
 @pytest.fixture(scope="module")
 def robot(tiny_path):
     return load_robot(tiny_path)
-
-
-@pytest.fixture(scope="module")
-def walled():
-    """One problem whose straight line is blocked."""
-    scene = make_scene(
-        [[0.55, 0.35, 0.1], [0.45, -0.4, 0.3], [0.0, 0.0, 0.9]],
-        np.full((3, 3), 0.12),
-        max_obstacles=3,
-    )
-    start, goal = np.array([[1.6, 0.0, 0.0], [-1.6, 0.0, 0.3]], np.float32)
-    return jax.tree.map(lambda x: np.asarray(x)[None], Problem(start, goal, scene))
 
 
 @pytest.fixture(scope="module")
