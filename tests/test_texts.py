@@ -39,7 +39,9 @@ def test_commands_are_the_lines_that_call_a_module():
     assert is_slow(["gnnjax.train_motion", "--robots", "arm.xml"])
 
 
-def test_options_of_slow_commands_are_read_and_no_more(tmp_path):
+def test_options_of_slow_commands_are_read_and_no_more(tmp_path, monkeypatch):
+    # What jaxtyping's hook has made of a module would be kept where other processes look for it.
+    monkeypatch.setattr("sys.dont_write_bytecode", True)
     run_command(["gnnjax.train_motion", "--out", str(tmp_path / "run")])
     assert not (tmp_path / "run").exists()
     run_command(["gnnjax.generate", "--split", "train", "--out", str(tmp_path / "run")])

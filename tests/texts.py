@@ -53,7 +53,7 @@ SLOW = {
     "gnnjax.generate --split test --family": "tests/test_families.py draws families",
     "gnnjax.train": "tests/test_train.py and tests/test_train_motion.py train",
     "gnnjax.view": "tests/test_view.py opens the page, which is served until it is interrupted",
-    "gnnjax.evaluate --num-nodes 1000 --problems data/kuka_iiwa14_public": "not shipped",
+    "gnnjax.evaluate --problems data/kuka_iiwa14_public": "not shipped",
     "experiments": "tests/test_experiments.py measures, in small",
     "tests": "they are run by hand",
 }
