@@ -47,4 +47,6 @@ def test_a_notebook_is_kept_with_its_outputs_and_run_by_ci(path):
     outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
     assert not [out for out in outputs if out["output_type"] == "error"]
     assert any("image/png" in out.get("data", {}) for out in outputs)
+    # Pictures are kept in lines, or a change of one is a line of all of it.
+    assert max(map(len, path.read_text(encoding="utf-8").splitlines())) < 1000
     assert path.stem == "quickstart" or path.stem in (path.parents[1] / ".ci/run").read_text()
