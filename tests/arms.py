@@ -91,3 +91,40 @@ CAPSULES = """
   </worldbody>
 </mujoco>
 """
+
+# Parts of all kinds that meet themselves: past a joint of more than a turn, past a slide that has a
+# reference, on two branches, and two that never meet.
+FOLDING = """
+<mujoco>
+  <compiler angle="radian" autolimits="true"/>
+  <default><geom contype="1" conaffinity="1" mass="1"/></default>
+  <asset>
+    <mesh name="wedge" vertex="0 -.04 -.05 .2 -.04 -.02 .2 .04 -.02 0 .04 -.05 0 0 .06"/>
+  </asset>
+  <worldbody>
+    <body name="foot">
+      <geom type="box" size="0.15 0.06 0.05"/>
+      <body name="post" pos="0 0 0.06">
+        <joint axis="0 0 1" range="-6 6"/>
+        <geom type="cylinder" fromto="0 0 0 0 0 0.1" size="0.04"/>
+        <body name="arm" pos="0.06 0 0.12" quat="0.98 0.1 0 0.1">
+          <joint axis="0 1 0" pos="0.01 0 0" range="-2.7 2.7"/>
+          <geom type="box" pos="0.1 0 0" size="0.1 0.03 0.02"/>
+          <body name="slide" pos="0.22 0.05 0.03">
+            <joint type="slide" axis="1 0.2 0" range="-0.3 0.1" ref="-0.05"/>
+            <geom type="capsule" fromto="0 0 0.02 0 0 0.1" size="0.02"/>
+            <body name="tip" pos="0 0 0.14">
+              <joint axis="0 1 0.3" range="-2.9 2.9"/>
+              <geom type="mesh" mesh="wedge"/>
+            </body>
+          </body>
+        </body>
+        <body name="branch" pos="-0.05 0.05 0.15">
+          <joint axis="0 0 1" range="-2 2"/>
+          <geom type="ellipsoid" pos="0 0.12 0" size="0.03 0.1 0.03"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""

@@ -20,7 +20,7 @@ from jax._src.api import clean_up
 
 from gnnjax.arm import covers
 from gnnjax.arm.robot import load_robot
-from gnnjax.collision import bounds, certify, sequences, spheres
+from gnnjax.collision import bounds, certify, contact_cells, sequences, spheres
 from gnnjax.planning import attempts, pool
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import PlannerOptions
@@ -30,6 +30,8 @@ from tests.arms import CAPSULES
 
 # Arms that tests make up have few spheres a part, which leave more to the parts themselves.
 covers._MOST = 3
+# And maps of few cells, which code that was compiled in a hurry works out.
+contact_cells._BITS, contact_cells._AT_ONCE = {1: 8, 2: 12, 3: 14}, 128
 # Calls are of one size each, where sizes are not what a test is about.
 _ONE_SIZE = [
     (sequences, "_BLOCKS", (64, 64, 64)),

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from gnnjax.arm.hulls import SIMPLER
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.checker import EDGE_RESOLUTION, make_checker
-from gnnjax.collision.exact import SIMPLER
 from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import make_scene

@@ -44,16 +44,17 @@ interruption notice errors arguments per_object files array_files devices clock 
 memory_maps kept
 roll_call cluster
 arm.shipped
-arm.parts arm.bodies arm.hulls arm.couplings arm.joints arm.mjcf arm.mesh_files arm.urdf arm.sources
+arm.parts arm.bodies arm.couplings arm.joints arm.mjcf arm.mesh_files arm.urdf arm.sources
 arm.contacts arm.choice arm.load
-arm.reading arm.fit arm.blocks arm.covers arm.robot arm.kinematics arm.transforms arm.torques
-arm.turns arm.meetings
+arm.reading arm.fit arm.blocks arm.covers arm.robot arm.hulls arm.kinematics arm.transforms
+arm.torques arm.turns arm.meetings
 scene.shapes scene.cloud scene.lookup scene.own_points scene.point_files scene.numbers
 scene.scene scene.batches scene.allowed scene.surfaces scene.octomap scene.units scene.scene_file
 scene.geometry scene.field scene.mujoco_world
 scene.pose scene.held scene.holding scene.messages scene.collision_objects
 scene.moveit scene.robot_in_mjcf scene.from_mjcf scene.any_file
-collision.spheres collision.simplex collision.convex collision.exact collision.components
+collision.spheres collision.simplex collision.convex collision.couples
+collision.contact_cells collision.contact_maps collision.exact collision.components
 collision.obstacles collision.hulls collision.bounds collision.link_frames
 collision.fused collision.mjx collision.points collision.cloud collision.edges
 collision.stretches collision.checker collision.blocks collision.one_call collision.sequences

@@ -58,7 +58,7 @@ def test_the_clearance_of_small_balls_far_from_each_other_is_that_by_tables_too(
 
 
 def test_a_row_is_of_two_links_and_its_balls_hold_its_spheres(capsules, in_tables):
-    table = spheres.pair_table(capsules)
+    table = spheres.pair_table(capsules, capsules.self_pairs)
     assert {frozenset(x) for x in table.pairs.reshape(-1, 2).tolist()} == {
         frozenset(x) for x in capsules.self_pairs.tolist()
     }

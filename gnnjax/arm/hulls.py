@@ -1,10 +1,15 @@
 """Convex hulls of links, with fewer vertices."""
 
+import functools
+
 import numpy as np
 from jaxtyping import Float
 
+from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
+from gnnjax.kept import kept_result
 
+SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
 _SLACK = 1e-6  # m; on the ball, for rounding
 
 
@@ -56,3 +61,17 @@ def simplify(
             bounds[farthest] = 0.0
         else:
             return vertices[sorted(chosen)], float(bounds[farthest]) + _SLACK
+
+
+@functools.cache
+def simpler_hulls(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices `[T V 3]` and radii `[T]` of the arm's parts, with few vertices each, which stand
+    out by `SIMPLER` at most; a second of work that kernels and certificates share."""
+    simple = [
+        (p.vertices, 0.0) if len(p.vertices) <= 8 else kept_result(simplify, p.vertices, SIMPLER)
+        for p in robot.parts
+    ]
+    most = max(len(vertices) for vertices, _ in simple)
+    vertices = [np.pad(v, ((0, most - len(v)), (0, 0)), "edge") for v, _ in simple]
+    radii = [p.radius + more for p, (_, more) in zip(robot.parts, simple, strict=True)]
+    return np.array(vertices, np.float32), np.array(radii, np.float32)

@@ -113,7 +113,7 @@ def make_checker(
         scene: Scene, starts: Float[Array, "E D"], ends: Float[Array, "E D"]
     ) -> Bool[Array, " E"]:
         # Torques at rest may be too large between two places where they are not.
-        by_points = backend != "fused" or robot.rest_limit is not None or in_table(robot)
+        by_points = backend != "fused" or robot.rest_limit is not None or in_table(robot.self_pairs)
         if scene.cloud is not None or by_points:
             return check_edges(scene, starts, ends).valid
         *cut, testable = cut_edges(starts, ends, resolution, most)

@@ -6,7 +6,6 @@ two parts, whose spheres touch, and has each tested as convex bodies (`convex.py
 until one is found in contact or all are apart.
 """
 
-import functools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -15,35 +14,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from gnnjax.arm.hulls import simplify
+from gnnjax.arm.hulls import simpler_hulls
 from gnnjax.arm.kinematics import Joints, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.transforms import behind, composed, transform
 from gnnjax.collision import convex
+from gnnjax.collision.contact_maps import ContactMaps
 from gnnjax.collision.spheres import Obstacle, Passes, Placed
-from gnnjax.kept import kept_result
 
-SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
 WORD = 31  # bits that tell of parts; above them there is room for `BLOCKED`
 
 
 def hulls_of(robot: Robot) -> convex.Parts:
     """The arm's parts, with few vertices each, standing out by `SIMPLER` at most."""
-    vertices, radii = _simpler(robot)
-    return jax.device_put(convex.Parts(vertices, radii))
-
-
-@functools.cache
-def _simpler(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices `[T V 3]` and radii `[T]`; a second of work that kernels and certificates share."""
-    simple = [
-        (p.vertices, 0.0) if len(p.vertices) <= 8 else kept_result(simplify, p.vertices, SIMPLER)
-        for p in robot.parts
-    ]
-    most = max(len(vertices) for vertices, _ in simple)
-    vertices = [np.pad(v, ((0, most - len(v)), (0, 0)), "edge") for v, _ in simple]
-    radii = [p.radius + more for p, (_, more) in zip(robot.parts, simple, strict=True)]
-    return np.array(vertices, np.float32), np.array(radii, np.float32)
+    return jax.device_put(convex.Parts(*simpler_hulls(robot)))
 
 
 class PartTests(NamedTuple):
@@ -61,8 +45,14 @@ class PartTests(NamedTuple):
     clear_of_cloud: Callable[[Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
 
 
-def part_tests(robot: Robot, passes: Passes) -> PartTests:
-    """Makes the functions of an arm."""
+def part_tests(robot: Robot, passes: Passes, maps: ContactMaps) -> PartTests:
+    """Makes the functions of an arm.
+
+    Args:
+        robot: the arm.
+        passes: over the pairs of its spheres that maps leave to be looked at.
+        maps: of its parts.
+    """
     hulls = hulls_of(robot)
     # The world's frame comes last.
     bodies = jax.device_put(np.array([part.body for part in robot.parts], np.int32))
@@ -84,10 +74,11 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
         return jnp.stack(_with_bits(words, hits, joints, turns))
 
     def touching_itself(q: Float[Array, "C D"], wanted: Bool[Array, " C"]) -> Bool[Array, "U C"]:
-        """Whether spheres of the two of `Robot.part_pairs[u]` touch, where it is wanted."""
+        """Whether spheres and maps leave it open that the two of `Robot.part_pairs[u]` touch, where
+        it is wanted."""
         joints, num, turns = joint_terms(robot, q), couples.shape[1], jnp.any(wanted)
         if passes.table is not None:
-            return in_table(joints, num, wanted)
+            return maps.not_clear(in_table(joints, num, wanted), q) & wanted
         words = [jnp.zeros(len(q), jnp.uint32)] * -(-couples.shape[1] // WORD)
         for pairs in passes.self_pairs:
 
@@ -97,7 +88,7 @@ def part_tests(robot: Robot, passes: Passes) -> PartTests:
                     yield both, ~(squared > (radii[i] + radii[j]) ** 2)
 
             words = _with_bits(words, hits, joints, turns.astype(jnp.int32))
-        return bits_of(jnp.stack(words), num) & wanted
+        return maps.not_clear(bits_of(jnp.stack(words), num), q) & wanted
 
     def in_table(joints: Joints, num: int, wanted: jax.Array) -> jax.Array:
         assert passes.table is not None

@@ -13,14 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from gnnjax.arm.kinematics import Vector, dot, joint_terms, subtract
+from gnnjax.arm.kinematics import Joints, Vector, dot, joint_terms, subtract
 from gnnjax.arm.robot import Robot
+from gnnjax.collision.contact_maps import contact_maps
 from gnnjax.collision.exact import PartTests, part_tests
 from gnnjax.collision.spheres import (
     BLOCKED,
     ITSELF,
     OBSTACLE_BITS,
     Obstacle,
+    PairTable,
     Passes,
     Placed,
     moved_by_joint,
@@ -116,31 +118,27 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
     radii = robot.geom_radii.tolist()
     inner = [x if x > 0 else None for x in robot.geom_inner_radii.tolist()]
     passes = Passes(robot)
+    # Spheres tell nothing of parts that never touch, or of which a map says all.
+    maps = contact_maps(robot) if is_open else None
+    unmapped = passes if maps is None else Passes(robot, maps.pairs)
+    beside = None if maps is None else Passes(robot, maps.pairs_beside)
 
-    def over_all(
+    def over_obstacles(
+        joints: Joints,
         placed: Placed,
-        owner: jax.Array | None,
-        q: jax.Array,
+        owner: jax.Array,
         start: jax.Array,
         with_obstacle: Callable[[jax.Array, jax.Array, Iterator], jax.Array],
-        with_itself: Callable[[jax.Array, Iterator], jax.Array],
-        with_row: Callable[[jax.Array, jax.Array, jax.Array], jax.Array],
-        worth_going_on: Callable[[jax.Array, jax.Array], jax.Array],
     ) -> jax.Array:
-        """Folds what all passes say of configurations.
+        """Folds what the passes over obstacles say of configurations.
 
         Args:
+            joints: of configurations `[G T]`.
             placed: obstacles.
             owner: `[G]` whose obstacles count.
-            q: `[G T D]`.
             start: `[G T]` what to begin with.
             with_obstacle: `(value, number of the obstacle, distances) -> value`.
-            with_itself: `(value, distances) -> value`.
-            with_row: the same of a row of `Passes.table`, see `Passes.over_table`.
-            worth_going_on: of what values pairs of the arm's own spheres are to be looked at, which
-                are apart by a gap, m, at least: `(value, gap) -> [G T]`.
         """
-        joints = joint_terms(robot, q)
         own = Obstacle(*jax.tree.map(lambda x: x[..., owner, None], tuple(placed)[:-1]))
 
         # One obstacle a pass. With several, the compiler finds out what they share and the kernel
@@ -157,6 +155,27 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         for spheres in passes.groups:
             some = functools.partial(one_pass, spheres=spheres)
             value = jax.lax.fori_loop(0, most, some, value)
+        return value
+
+    def over_itself(
+        joints: Joints,
+        passes: Passes,
+        value: jax.Array,
+        with_itself: Callable[[jax.Array, Iterator], jax.Array],
+        with_row: Callable[[jax.Array, jax.Array, jax.Array], jax.Array],
+        worth_going_on: Callable[[jax.Array, jax.Array], jax.Array],
+    ) -> jax.Array:
+        """Folds what passes over pairs of the arm's own spheres say of configurations.
+
+        Args:
+            joints: of configurations `[G T]`.
+            passes: over the pairs.
+            value: `[G T]` what to begin with.
+            with_itself: `(value, distances) -> value`.
+            with_row: the same of a row of `Passes.table`, see `Passes.over_table`.
+            worth_going_on: of what values pairs are to be looked at, which are apart by a gap, m,
+                at least: `(value, gap) -> [G T]`.
+        """
         if passes.table is not None:
             return passes.over_table(joints, value, with_row, worth_going_on)
         for pairs in passes.self_pairs:
@@ -169,13 +188,6 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             turns = jnp.any(worth_going_on(value, jnp.float32(-jnp.inf))).astype(jnp.int32)
             value = jax.lax.fori_loop(0, turns, self_turn, value)
         return value
-
-    if passes.table is not None:
-        outer_squares = passes.table.squares[..., None, None]
-        # Of the spheres inside of parts -1 where there are none, which nothing is closer than.
-        inside = robot.geom_inner_radii[passes.table.pairs]
-        squares = np.where((inside > 0).all(axis=-1), inside.sum(axis=-1) ** 2, -1)
-        inner_squares = squares[..., None, None].astype(np.float32)
 
     def first(
         placed: Placed, owner: Int[Array, " G"], q: Float[Array, "G T D"]
@@ -211,27 +223,41 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             )
             return found(pairs, ITSELF, word)
 
-        def with_row(word, number, squared):
-            touches = jnp.any(~(squared > jnp.asarray(outer_squares)[number]), axis=0)
-            if not is_open:
-                return jnp.where(touches, word | BLOCKED, word)
-            proven = jnp.any(~(squared > jnp.asarray(inner_squares)[number]), axis=0)
-            return word | jnp.where(proven, BLOCKED, jnp.where(touches, ITSELF, jnp.uint32(0)))
+        def of_itself(word, passes):
+            squares = None if passes.table is None else _squares(robot, passes.table)
 
-        start = jnp.zeros(q.shape[:-1], jnp.uint32)
-        return over_all(
-            placed,
-            owner,
-            q,
-            start,
-            with_obstacle,
-            with_itself,
-            with_row,
-            lambda word, gap: (word < BLOCKED) & ~(gap > 0),
-        )
+            def with_row(word, number, squared):
+                assert squares is not None
+                outer, inner = (jnp.asarray(x)[number][:, None, None] for x in squares)
+                touches = jnp.any(~(squared > outer), axis=0)
+                if not is_open:
+                    return jnp.where(touches, word | BLOCKED, word)
+                proven = jnp.any(~(squared > inner), axis=0)
+                return word | jnp.where(proven, BLOCKED, jnp.where(touches, ITSELF, jnp.uint32(0)))
+
+            def worth_going_on(word, gap):
+                return (word < BLOCKED) & ~(gap > 0)
+
+            return over_itself(joints, passes, word, with_itself, with_row, worth_going_on)
+
+        joints, nothing = joint_terms(robot, q), jnp.zeros(q.shape[:-1], jnp.uint32)
+        word = over_obstacles(joints, placed, owner, nothing, with_obstacle)
+        if maps is None:
+            return of_itself(word, unmapped)
+        word |= maps.words(maps.alone, q)
+        word = of_itself(word, unmapped)
+        if not maps.beside:
+            return word
+        # Maps and spheres may both prove that parts are clear of each other.
+        told = of_itself(word & BLOCKED, beside)
+        left = jnp.where(told & ITSELF > 0, maps.words(maps.beside, q), jnp.uint32(0))
+        return word | told & BLOCKED | left
 
     # Nobody asks it of an arm whose spheres leave nothing open.
-    second = part_tests(robot, passes) if is_open else None
+    second = None
+    if maps is not None:
+        asked = np.concatenate([maps.pairs, maps.pairs_beside])
+        second = part_tests(robot, Passes(robot, asked), maps)
 
     def is_free(
         placed: Placed, owner: Int[Array, " G"], q: Float[Array, "G T D"]
@@ -296,20 +322,14 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             return smallest(value, (jnp.sqrt(x) - radii[i] - radii[j] for i, j, x in distances))
 
         def with_row(value, number, squared):
-            reach = jnp.sqrt(jnp.asarray(outer_squares)[number])
+            reach = jnp.sqrt(jnp.asarray(outer_squares)[number])[:, None, None]
             return smallest(value, jnp.sqrt(squared) - reach)
 
+        outer_squares = None if passes.table is None else passes.table.squares
         flat = q.reshape(1, -1, q.shape[-1])
-        start = jnp.full(flat.shape[:-1], jnp.inf, q.dtype)
-        found = over_all(
-            *placed_alone(scene),
-            flat,
-            start,
-            with_obstacle,
-            with_itself,
-            with_row,
-            lambda x, gap: ~(gap > x),
-        )
+        joints, start = joint_terms(robot, flat), jnp.full(flat.shape[:-1], jnp.inf, q.dtype)
+        found = over_obstacles(joints, *placed_alone(scene), start, with_obstacle)
+        found = over_itself(joints, passes, found, with_itself, with_row, lambda x, gap: ~(gap > x))
         return found.reshape(q.shape[:-1])
 
     def collision_free(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
@@ -323,3 +343,11 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         jax.jit(is_free),
         Levels(first, second) if second is not None else None,
     )
+
+
+def _squares(robot: Robot, table: PairTable) -> tuple[np.ndarray, np.ndarray]:
+    """Of pairs of spheres around parts and of those inside of them, the squares of the distances at
+    which they touch, m^2; -1, which nothing is closer than, where there is none inside."""
+    inside = robot.geom_inner_radii[table.pairs]
+    inner = np.where((inside > 0).all(axis=-1), inside.sum(axis=-1) ** 2, -1)
+    return table.squares, inner.astype(np.float32)

@@ -126,9 +126,9 @@ def sphere_centers(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Ve
     return points
 
 
-def in_table(robot: Robot) -> bool:
-    """Whether an arm has too many pairs of spheres for straight-line code."""
-    return len(robot.self_pairs) > _MOST_IN_CODE
+def in_table(pairs: np.ndarray) -> bool:
+    """Whether pairs of spheres are too many for straight-line code."""
+    return len(pairs) > _MOST_IN_CODE
 
 
 class PairTable(NamedTuple):
@@ -141,8 +141,8 @@ class PairTable(NamedTuple):
     reach: Float[np.ndarray, " R"]  # m; how much nearer the surfaces of a pair may be than these
 
 
-def pair_table(robot: Robot) -> PairTable:
-    """All pairs of an arm's spheres that may touch."""
+def pair_table(robot: Robot, wanted: np.ndarray) -> PairTable:
+    """Of pairs `[S 2]` of an arm's spheres."""
     link = _links(robot)
     with jax.ensure_compile_time_eval():
         joints = joint_terms(robot, jnp.asarray(robot.home, jnp.float32))
@@ -154,8 +154,8 @@ def pair_table(robot: Robot) -> PairTable:
         reach = (apart + robot.geom_radii[spheres]).max(axis=1)
         return int(spheres[reach.argmin()]), reach.min()
 
-    swap = (link[robot.self_pairs[:, 0]] > link[robot.self_pairs[:, 1]])[:, None]
-    pairs = np.where(swap, robot.self_pairs[:, ::-1], robot.self_pairs)
+    swap = (link[wanted[:, 0]] > link[wanted[:, 1]])[:, None]
+    pairs = np.where(swap, wanted[:, ::-1], wanted)
     couples, of = np.unique(link[pairs], axis=0, return_inverse=True)
     rows = []
     for couple in range(len(couples)):
@@ -176,17 +176,22 @@ _Folded = TypeVar("_Folded")
 class Passes:
     """The passes of one arm."""
 
-    def __init__(self, robot: Robot):
+    def __init__(self, robot: Robot, self_pairs: np.ndarray | None = None):
+        """Args:
+        robot: the arm.
+        self_pairs: `[S 2]` of its own spheres, which are to be looked at; None: all that it has.
+        """
         self._robot = robot
+        own = robot.self_pairs if self_pairs is None else self_pairs
         # The spheres that joints move.
         self.moving = np.flatnonzero(moved_by_joint(robot)).tolist()
         # Those that are looked at together.
         self.groups = [x.tolist() for x in in_passes(np.array(self.moving), _SPHERES_A_PASS)]
         self._bodies = robot.geom_bodies.tolist()
         # Of each pass over pairs of the arm's own spheres, the pairs.
-        self.self_pairs = in_passes(robot.self_pairs, _SELF_PAIRS_A_PASS)
+        self.self_pairs = in_passes(own, _SELF_PAIRS_A_PASS)
         # All pairs once more, for what would take too long to compile as passes.
-        self.table = pair_table(robot) if in_table(robot) else None
+        self.table = pair_table(robot, own) if in_table(own) else None
 
     def to_obstacle(
         self, joints: Joints, obstacle: Obstacle, spheres: Sequence[int] | None = None
