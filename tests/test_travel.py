@@ -76,6 +76,36 @@ def test_nothing_travels_farther_than_its_bound(robots, name, share, slack):
         assert np.median(found[1][found[1] > 0.01]) > 0.5
 
 
+@pytest.mark.parametrize("name", ["tiny", "odd", "kuka_iiwa14", "franka_panda"])
+def test_no_joint_changes_a_distance_by_more_than_its_bound(robots, name):
+    robot, rng = robots[name], np.random.default_rng(6)
+    body, (first, second) = spheres_of(robot), spheres_of(robot).pairs.T
+    one, other = robot.part_pairs.T
+    used, used_by_parts = [], []
+
+    def distances(q):
+        centers, vertices = placed(robot, q)
+        corners = np.array(
+            [(vertices[a][0], vertices[b][-1]) for a, b in zip(one, other, strict=True)]
+        )
+        apart = np.linalg.norm(corners[:, 0] - corners[:, 1], axis=-1)
+        return np.linalg.norm(centers[first] - centers[second], axis=1), apart
+
+    for joint in np.tile(np.arange(robot.num_dof), 30):
+        q = rng.uniform(robot.joint_lower, robot.joint_upper)
+        moved, by = q.copy(), rng.choice([1e-3, 0.3])
+        moved[joint] += by
+        between, apart = (
+            np.abs(x - y) for x, y in zip(distances(q), distances(moved), strict=True)
+        )
+        bounds = body.pair_reach[:, joint], body.part_pair_reach[:, joint]
+        used.append(between / (by * bounds[0] + 1e-9))
+        used_by_parts.append(apart / (by * bounds[1] + 1e-9))
+    assert max(np.max(used), np.max(used_by_parts)) <= 1
+    # Bounds of the joints that move a pair are not far from what is seen.
+    assert np.median(np.max(used, axis=0)) > 0.5
+
+
 @pytest.mark.parametrize("name", ["tiny", "odd", "kuka_iiwa14"])
 def test_twists_are_those_of_mujocos_jacobian(robots, name):
     robot, rng = robots[name], np.random.default_rng(4)

@@ -13,6 +13,7 @@ from gnnjax.arm.bodies import Joint
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.hulls import Hulls
 from gnnjax.collision.obstacles import sum_of_squares
+from gnnjax.collision.reaches import AtHome, Line, reach_along
 from gnnjax.errors import InputError
 
 
@@ -81,7 +82,8 @@ class Spheres:
         first, second = self.pairs.T
         # A joint that carries both spheres leaves their distance alone.
         shared = self.upstream[self.link_of[first]] & self.upstream[self.link_of[second]]
-        self.pair_reach = np.where(shared, 0.0, self.reach[first] + self.reach[second])
+        reach = np.where(shared, 0.0, self.reach[first] + self.reach[second])
+        self.pair_reach = np.minimum(reach, self._reach_between_spheres())
 
     @functools.cached_property
     def hulls(self) -> Hulls:
@@ -110,9 +112,35 @@ class Spheres:
         upstream = self.upstream[self.part_links]
         shared = upstream[first] & upstream[second]
         both = self.part_reach[first] + self.part_reach[second]
-        self.part_pair_reach = np.where(shared, 0.0, both)
+        both = np.where(shared, 0.0, both)
+        self.part_pair_reach = np.minimum(both, self._reach_between_parts())
         self.part_pair = np.full((len(robot.parts),) * 2, -1)  # which of `part_pairs` two parts are
         self.part_pair[first, second] = self.part_pair[second, first] = np.arange(len(first))
+
+    def _reach_between_spheres(self) -> np.ndarray:
+        """`[P, D]` bounds on how much each joint changes the distance of pairs of spheres; 0 of
+        those that move none of both, or both alike."""
+        found, home = np.zeros((len(self.pairs), self.robot.num_dof)), AtHome(self.robot)
+        bodies, centers = self.bodies[self.pairs], self.centers.T
+        for two in np.unique(bodies, axis=0).tolist():
+            rows = np.flatnonzero((bodies == two).all(axis=1))
+            ends = [
+                home.placed(b, centers[x]) for b, x in zip(two, self.pairs[rows].T, strict=True)
+            ]
+            joints, *both = _reach_between(ends, home.lines(*two))
+            found[rows[:, None], joints] = np.minimum(*both)
+        return found
+
+    def _reach_between_parts(self) -> np.ndarray:
+        """The same of pairs of parts, `[U, D]`."""
+        robot = self.robot
+        found, home = np.zeros((len(robot.part_pairs), robot.num_dof)), AtHome(robot)
+        for number, pair in enumerate(robot.part_pairs.tolist()):
+            first, second = parts = [robot.parts[p] for p in pair]
+            ends = [home.placed(part.body, part.vertices) for part in parts]
+            joints, *both = _reach_between(ends, home.lines(first.body, second.body))
+            found[number, joints] = np.minimum(*(reach.max(axis=0) for reach in both))
+        return found
 
     def _upstream(self) -> np.ndarray:
         """`[bodies + 1, D]`: which joints move a body; the last row is the world's."""
@@ -194,6 +222,14 @@ class Spheres:
         sizes = len(self.radii), len(self.pairs), len(self.links), len(self.pair_first)
         sizes = *sizes, len(self.part_reach), len(self.part_pair_reach)
         return Rates(*(np.full((size, 1), meters) for size in sizes))
+
+
+def _reach_between(
+    ends: list[np.ndarray], lines: list[Line]
+) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Joints, and what bounds how far they move points of either end, by the other, `[N, K]`."""
+    one, other = reach_along(ends[0], lines), reach_along(ends[1], lines[::-1])
+    return [line.joint for line in lines], one, other[:, ::-1]
 
 
 @functools.cache

@@ -11,6 +11,7 @@ import numpy as np
 from gnnjax.arm.bodies import Joint
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.transforms import behind, transform
+from gnnjax.collision.reaches import Line, reach_along
 
 MOST_JOINTS = 3
 
@@ -147,42 +148,26 @@ def unproven_by_spheres(couple: Couple, q: np.ndarray) -> np.ndarray:
 
 
 def reaches(couple: Couple) -> np.ndarray:
-    """How much the distance of the parts changes at most by a unit of each joint, m/rad or m/m.
-
-    A part swings about an axis on circles, at most as large as the sum of the links between them.
-    Which of both does is the same to their distance.
-    """
-    low = couple.lower[None]
-    ends, joints = [], []
+    """How much the distance of the parts changes at most by a unit of each joint, m/rad or m/m."""
+    ends, lines = [], []
     for side in couple.sides:
-        frames = frames_of(couple, side, low)[:, 0]
+        frames = frames_of(couple, side, couple.lower[None])[:, 0]
         ends.append(side.vertices @ frames[-1][:, :3].T + frames[-1][:, 3])
-        placed = [
-            (
-                step.joint,
-                step.hinge,
-                frame[:, :3] @ step.axis,
-                frame[:, :3] @ step.anchor + frame[:, 3],
-            )
-            for step, frame in zip(side.steps, frames[1:], strict=True)
-            if step.joint >= 0
-        ]
-        joints.append(placed)
-    way = joints[0][::-1] + joints[1]  # from the one part to the other
-
-    def seen_from(points: np.ndarray, way: list) -> dict[int, float]:
-        found, beyond = {}, 0.0
-        for number, (joint, hinge, axis, anchor) in enumerate(way):
-            if number == 0:
-                beyond = np.linalg.norm(points - anchor, axis=1).max()
-                radial = np.linalg.norm(np.cross(axis, points - anchor), axis=1).max()
-            else:
-                beyond += np.linalg.norm(anchor - way[number - 1][3])
-                radial = beyond
-            found[joint] = radial if hinge else 1.0
-            if not hinge:
-                beyond += couple.upper[joint] - couple.lower[joint]
-        return found
-
-    one, other = seen_from(ends[0], way), seen_from(ends[1], way[::-1])
-    return np.array([min(one[joint], other[joint]) for joint in range(len(couple.lower))])
+        lines.append(
+            [
+                Line(
+                    step.joint,
+                    step.hinge,
+                    frame[:, :3] @ step.axis,
+                    frame[:, :3] @ step.anchor + frame[:, 3],
+                    0.0 if step.hinge else couple.upper[step.joint] - couple.lower[step.joint],
+                )
+                for step, frame in zip(side.steps, frames[1:], strict=True)
+                if step.joint >= 0
+            ]
+        )
+    way = lines[0][::-1] + lines[1]  # from the one part to the other
+    found = np.empty(len(way))
+    one, other = reach_along(ends[0], way), reach_along(ends[1], way[::-1])[:, ::-1]
+    found[[line.joint for line in way]] = np.minimum(one.max(axis=0), other.max(axis=0))
+    return found
