@@ -21,6 +21,7 @@ from gnnjax.kept import keep
 
 CLEAR, OPEN, TOUCHING = range(3)  # what a cell says
 A_WORD = 16  # cells
+_A_LINE = 256  # cells, of 64 bytes
 _BITS = {1: 12, 2: 18, 3: 20}  # of the number of cells, by the number of joints
 # Of the configurations, by the number of joints: whose spheres leave more open is worth a map.
 _WORTH = {1: 1e-3, 2: 1e-3, 3: 5e-3}
@@ -34,9 +35,14 @@ _ROOM = 64  # vertices; hulls are padded to a multiple
 
 
 class Cells(NamedTuple):
-    """Of a couple, what its cells say: `counts` along each joint, each a power of two."""
+    """Of a couple, what its cells say: `counts` along each joint, each a power of two.
+
+    Cells lie in blocks of `block` along each joint, since motions go from cells to their neighbours
+    and what they find there is in the same line of a cache.
+    """
 
     counts: np.ndarray  # [K]
+    block: np.ndarray  # [K]
     words: np.ndarray  # uint32, of 16 cells each, the lowest bits first
     beside: bool  # spheres are worth a look, too
 
@@ -61,9 +67,21 @@ def cells_of(couple: Couple) -> Cells | None:
     is_open = codes[tuple(np.minimum(at, counts - 1).T)] == OPEN
     # Where both together leave much less open than the map, spheres are looked at first.
     beside = bool(is_open.mean() > 2 * (is_open & unproven).mean() + 2e-3)
-    padded = np.pad(codes.reshape(-1), (0, -codes.size % A_WORD)).reshape(-1, A_WORD)
+    block = _block(counts)
+    parts = np.stack([counts // block, block], axis=1).reshape(-1)
+    order = *range(0, 2 * num, 2), *range(1, 2 * num, 2)
+    codes = codes.reshape(parts).transpose(order).reshape(-1)
+    padded = np.pad(codes, (0, -codes.size % A_WORD)).reshape(-1, A_WORD)
     words = (padded.astype(np.uint32) << np.arange(0, 32, 2, dtype=np.uint32)).sum(axis=1)
-    return Cells(counts, words.astype(np.uint32), beside)
+    return Cells(counts, block, words.astype(np.uint32), beside)
+
+
+def _block(counts: np.ndarray) -> np.ndarray:
+    """Of as many cells as a line of a cache holds, about as many along each joint."""
+    block = np.ones_like(counts)
+    while block.prod() < _A_LINE and (block < counts).any():
+        block[np.where(block < counts, block, _A_LINE).argmin()] *= 2
+    return block
 
 
 def _refined(couple: Couple, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

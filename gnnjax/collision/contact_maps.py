@@ -23,6 +23,7 @@ from gnnjax.files import cache_folder
 from gnnjax.kept import kept_result
 from gnnjax.notice import told_if_long
 
+_A_WORD_BITS = A_WORD.bit_length() - 1
 _SHIFT = 30  # of what a cell says: bits 30 and 31 of a word, see `spheres.py`
 _FAR = 1e3  # rad; joints that turn as far are not looked up
 _LINE = (
@@ -43,18 +44,24 @@ class ContactMap(NamedTuple):
 
     def codes(self, q: Float[Array, "*batch D"]) -> UInt[Array, "*batch"]:
         """What it says of configurations: `CLEAR`, `OPEN` or `TOUCHING`."""
-        index, outside = jnp.zeros(q.shape[:-1], jnp.int32), jnp.zeros(q.shape[:-1], bool)
-        rows = zip(*(x.tolist() for x in self[1:5]), self.cells.counts.tolist(), strict=True)
-        for joint, low, high, turns, count in rows:
+        block, within = jnp.zeros((2, *q.shape[:-1]), jnp.int32)
+        outside = jnp.zeros(q.shape[:-1], bool)
+        cells = self.cells.counts, self.cells.block
+        for joint, low, high, turns, count, size in zip(
+            *(x.tolist() for x in (*self[1:5], *cells)), strict=True
+        ):
             value = q[..., joint]
             at = jnp.floor((value - low) * (count / (high - low))).astype(jnp.int32)
             if turns:
                 at, inside = at & (count - 1), jnp.abs(value) < _FAR
             else:
                 at, inside = jnp.clip(at, 0, count - 1), (value >= low) & (value <= high)
-            index, outside = index * count + at, outside | ~inside  # NaN is not inside
-        word = jnp.asarray(self.cells.words)[index // A_WORD]
-        code = word >> (2 * (index % A_WORD)).astype(jnp.uint32) & 3
+            block = block * (count // size) + (at >> (size.bit_length() - 1))
+            within = within * size + (at & (size - 1))
+            outside |= ~inside  # NaN is not inside
+        index = block * int(self.cells.block.prod()) + within
+        word = jnp.asarray(self.cells.words)[index >> _A_WORD_BITS]
+        code = word >> (2 * (index & (A_WORD - 1))).astype(jnp.uint32) & 3
         return jnp.where(outside, jnp.uint32(OPEN), code)
 
 
