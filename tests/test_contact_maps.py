@@ -139,6 +139,18 @@ def test_verdicts_are_those_without_maps(folding, maps, monkeypatch):
     assert left[1] < 0.7 * left[0]
 
 
+def test_maps_are_made_while_a_function_is_traced(folding, monkeypatch):
+    monkeypatch.setattr(contact_cells, "_BITS", {2: 4, 3: 4})
+    monkeypatch.setattr(contact_cells, "_TEST", jax.jit(contact_cells._test))
+
+    @jax.jit
+    def words(q):
+        maps = contact_maps.__wrapped__(folding)
+        return maps.words(maps.alone + maps.beside, q)
+
+    assert words(jnp.zeros((3, folding.num_dof))).shape == (3,)
+
+
 def couples_of(robot):
     """Of every pair of parts that three joints or fewer move: its number, joints and couple."""
     spheres = np.sort(robot.geom_parts[robot.self_pairs], axis=1)

@@ -105,7 +105,9 @@ def contact_maps(robot: Robot) -> ContactMaps:
         if found is None:
             continue
         joints, couple = found
-        with told_if_long(_LINE.format(robot.name, cache_folder("code"))):
+        line = _LINE.format(robot.name, cache_folder("code"))
+        # Whoever traces a function that makes a checker wants numbers here.
+        with told_if_long(line), jax.ensure_compile_time_eval():
             cells = kept_result(cells_of, couple)
         if cells is None:
             continue
