@@ -20,7 +20,7 @@ from gnnjax.errors import run_command
 from gnnjax.files import atomic_write
 
 # Whose rows of `guided` were not measured again when the default planner came to grow trees first.
-_EARLIER = ("figure7", "real_arm")
+_EARLIER = ("figure7",)
 _NOTE = (
     "*Rows of `guided` in this section are from an earlier planner, which tried roadmaps first. "
     "The present one finds paths that are 0 to 7 % shorter, in as much time or less.*\n\n"
