@@ -1,11 +1,12 @@
 """Collision checking with MJX, MuJoCo's own collision functions in JAX.
 
-An independent second implementation of the fused kernel's first level: MJX tests the arm's cover,
-the spheres around its parts. What these leave open is not looked at, so that of arms whose parts
-are no spheres this backend is conservative. It refuses whatever touches, and besides what comes as
-near to a part as its spheres stand out of it. The parts themselves are not MJX's to test here: its
-function for meshes and boxes is slower by orders of magnitude, there is none for meshes and
-cylinders, and the one for capsules and boxes misses one collision in a thousand.
+An independent second implementation of the fused kernel's first level, but for its maps
+(`contact_maps.py`): MJX tests the arm's cover, the spheres around its parts. What these leave open
+is not looked at, so that of arms whose parts are no spheres this backend is conservative. It
+refuses whatever touches, and besides what comes as near to a part as its spheres stand out of it.
+The parts themselves are not MJX's to test here: its function for meshes and boxes is slower by
+orders of magnitude, there is none for meshes and cylinders, and the one for capsules and boxes
+misses one collision in a thousand.
 
 MJX is asked pair by pair: `mjx.collision`, for a world that holds nothing but two geoms, is a
 function of their poses and sizes, which `in_components` maps over all pairs of a kind and all
