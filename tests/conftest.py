@@ -30,7 +30,8 @@ from tests.arms import CAPSULES
 
 # Arms that tests make up have few spheres a part, which leave more to the parts themselves.
 covers._MOST = 3
-# And maps of few cells, which code that was compiled in a hurry works out.
+# And few maps, of few cells, which code that was compiled in a hurry works out.
+contact_cells._WORTH, contact_cells._MANY = {1: 0.02, 2: 0.02, 3: 1.0}, 1000
 contact_cells._BITS, contact_cells._AT_ONCE = {1: 8, 2: 12, 3: 14}, 128
 # Calls are of one size each, where sizes are not what a test is about.
 _ONE_SIZE = [
