@@ -13,7 +13,7 @@ from gnnjax.arm.bodies import Joint
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.hulls import Hulls
 from gnnjax.collision.obstacles import sum_of_squares
-from gnnjax.collision.reaches import AtHome, Line, reach_along
+from gnnjax.collision.reaches import AtHome, reach_between
 from gnnjax.errors import InputError
 
 
@@ -127,7 +127,7 @@ class Spheres:
             ends = [
                 home.placed(b, centers[x]) for b, x in zip(two, self.pairs[rows].T, strict=True)
             ]
-            joints, *both = _reach_between(ends, home.lines(*two))
+            joints, *both = reach_between(ends, home.lines(*two))
             found[rows[:, None], joints] = np.minimum(*both)
         return found
 
@@ -138,7 +138,7 @@ class Spheres:
         for number, pair in enumerate(robot.part_pairs.tolist()):
             first, second = parts = [robot.parts[p] for p in pair]
             ends = [home.placed(part.body, part.vertices) for part in parts]
-            joints, *both = _reach_between(ends, home.lines(first.body, second.body))
+            joints, *both = reach_between(ends, home.lines(first.body, second.body))
             found[number, joints] = np.minimum(*(reach.max(axis=0) for reach in both))
         return found
 
@@ -222,14 +222,6 @@ class Spheres:
         sizes = len(self.radii), len(self.pairs), len(self.links), len(self.pair_first)
         sizes = *sizes, len(self.part_reach), len(self.part_pair_reach)
         return Rates(*(np.full((size, 1), meters) for size in sizes))
-
-
-def _reach_between(
-    ends: list[np.ndarray], lines: list[Line]
-) -> tuple[list[int], np.ndarray, np.ndarray]:
-    """Joints, and what bounds how far they move points of either end, by the other, `[N, K]`."""
-    one, other = reach_along(ends[0], lines), reach_along(ends[1], lines[::-1])
-    return [line.joint for line in lines], one, other[:, ::-1]
 
 
 @functools.cache

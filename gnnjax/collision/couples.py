@@ -11,7 +11,7 @@ import numpy as np
 from gnnjax.arm.bodies import Joint
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.transforms import behind, transform
-from gnnjax.collision.reaches import Line, reach_along
+from gnnjax.collision.reaches import Line, reach_between, ways_apart
 
 MOST_JOINTS = 3
 
@@ -60,13 +60,7 @@ def couple_of(
         vertices: of all parts' hulls.
         radii: of all parts' balls.
     """
-
-    def to_base(body: int) -> list[int]:
-        return [] if body < 0 else [*to_base(robot.bodies[body].parent), body]
-
-    first, second = ways = [to_base(robot.parts[p].body) for p in parts]
-    shared = sum(a == b for a, b in zip(first, second, strict=False))
-    ways = [way[shared:] for way in ways]
+    ways = ways_apart(robot.bodies, *(robot.parts[p].body for p in parts))
     joints = sorted(j.index for way in ways for b in way for j in robot.bodies[b].joints)
     if not 1 <= len(joints) <= MOST_JOINTS:
         return None
@@ -168,6 +162,6 @@ def reaches(couple: Couple) -> np.ndarray:
         )
     way = lines[0][::-1] + lines[1]  # from the one part to the other
     found = np.empty(len(way))
-    one, other = reach_along(ends[0], way), reach_along(ends[1], way[::-1])[:, ::-1]
-    found[[line.joint for line in way]] = np.minimum(one.max(axis=0), other.max(axis=0))
+    joints, *both = reach_between(ends, way)
+    found[joints] = np.minimum(*(reach.max(axis=0) for reach in both))
     return found

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from gnnjax.arm.bodies import Body
 from gnnjax.arm.robot import Robot
 
 
@@ -47,6 +48,30 @@ def reach_along(points: np.ndarray, lines: Sequence[Line]) -> np.ndarray:
     return found
 
 
+def reach_between(
+    ends: Sequence[np.ndarray], lines: Sequence[Line]
+) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Joints, and what bounds how far they move points of either end, by the other, `[N, K]`.
+
+    Args:
+        ends: points `[N, 3]` of two parts.
+        lines: of the joints between them, from the first on.
+    """
+    one, other = reach_along(ends[0], lines), reach_along(ends[1], lines[::-1])
+    return [line.joint for line in lines], one, other[:, ::-1]
+
+
+def ways_apart(bodies: Sequence[Body], first: int, second: int) -> tuple[list[int], list[int]]:
+    """The bodies from the last one that carries two, without it, to either."""
+
+    def to_base(body: int) -> list[int]:
+        return [] if body < 0 else [*to_base(bodies[body].parent), body]
+
+    one, other = to_base(first), to_base(second)
+    shared = sum(a == b for a, b in zip(one, other, strict=False))
+    return one[shared:], other[shared:]
+
+
 class AtHome:
     """An arm at home: places of its parts, and the lines of its joints."""
 
@@ -63,13 +88,8 @@ class AtHome:
     def lines(self, first: int, second: int) -> list[Line]:
         """Of the joints that move two bodies against each other, from the first to the second."""
         bodies = self._robot.bodies
-
-        def to_base(body: int) -> list[int]:
-            return [] if body < 0 else [*to_base(bodies[body].parent), body]
-
-        one, other = to_base(first), to_base(second)
-        shared = sum(a == b for a, b in zip(one, other, strict=False))
-        up, down = ([j for b in way[shared:] for j in bodies[b].joints] for way in (one, other))
+        ways = ways_apart(bodies, first, second)
+        up, down = ([joint for b in way for joint in bodies[b].joints] for way in ways)
         return [
             Line(
                 joint.index,
