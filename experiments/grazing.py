@@ -58,7 +58,7 @@ def push(rng: np.random.Generator, arm: Arm, edges: Edges, pieces: Pieces | None
     robot, scenes, num = arm.robot, edges.scenes, len(edges.starts)
     pieces = pieces or Pieces(edges.starts, edges.ends, np.arange(num))
     data = mujoco.MjData(robot.mj_model)  # whose world is the base
-    moving = robot.geom_ids[robot.geom_bodies >= 0]
+    moving = robot.sphere_geoms[robot.sphere_bodies >= 0]
     chosen, ways = np.zeros(num, int), np.zeros((num, 3))
     for i, (own, pose) in enumerate(zip(edges.shapes, edges.clouds, strict=True)):
         data.qpos[:] = edges.starts[i] + rng.random() * (edges.ends[i] - edges.starts[i])
@@ -137,7 +137,7 @@ def lengthen(rng: np.random.Generator, arm: Arm, edges: Edges) -> Edges:
 def _without_itself(robot: Robot) -> Robot:
     """An arm that may touch itself."""
     none = np.zeros((0, 2), np.int64)
-    return dataclasses.replace(robot, part_pairs=none, self_pairs=none)
+    return dataclasses.replace(robot, part_pairs=none, sphere_pairs=none)
 
 
 def _bisect(

@@ -63,17 +63,17 @@ class PartDistance:
         mujoco.mj_kinematics(self.model, self.data)
 
     def now(self, first: int, second: int) -> float:
-        a, b = self.robot.part_geom_ids[[first, second]].tolist()
+        a, b = self.robot.part_geoms[[first, second]].tolist()
         return mujoco.mj_geomDistance(self.model, self.data, a, b, 2.0, None)
 
     def of_spheres(self) -> float:
         """Least distance of the spheres that are tested against one another."""
-        robot, bodies = self.robot, self.robot.geom_bodies + 1
+        robot, bodies = self.robot, self.robot.sphere_bodies + 1
         turns = self.data.xmat[bodies].reshape(-1, 3, 3)
-        centers = self.data.xpos[bodies] + (turns @ robot.geom_centers[..., None])[..., 0]
-        a, b = robot.self_pairs.T
+        centers = self.data.xpos[bodies] + (turns @ robot.sphere_centers[..., None])[..., 0]
+        a, b = robot.sphere_pairs.T
         gaps = np.linalg.norm(centers[a] - centers[b], axis=1)
-        return float(np.min(gaps - robot.geom_radii[a] - robot.geom_radii[b], initial=np.inf))
+        return float(np.min(gaps - robot.sphere_radii[a] - robot.sphere_radii[b], initial=np.inf))
 
 
 def smallest_distance(

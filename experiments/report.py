@@ -19,13 +19,6 @@ from gnnjax.arguments import parse_arguments
 from gnnjax.errors import run_command
 from gnnjax.files import atomic_write
 
-# Whose rows of `guided` were not measured again when the default planner came to grow trees first.
-_EARLIER = ("figure7",)
-_NOTE = (
-    "*Rows of `guided` in this section are from an earlier planner, which tried roadmaps first. "
-    "The present one finds paths that are 0 to 7 % shorter, in as much time or less.*\n\n"
-)
-
 
 @dataclasses.dataclass(frozen=True)
 class ReportConfig:
@@ -53,10 +46,7 @@ def results_page(results: dict[str, Row]) -> str:
         f"than {settings['time_limit']:g} s a problem has failed. The machine was shared with "
         "other work: times are to be compared with each other, not with those of other machines.\n"
     )
-    sections = []
-    for name, each in EXPERIMENTS.items():
-        title, rest = section(each, results[name]).split("\n\n", 1)
-        sections.append(f"{title}\n\n{_NOTE if name in _EARLIER else ''}{rest}")
+    sections = [section(each, results[name]) for name, each in EXPERIMENTS.items()]
     return "\n".join(["# Results\n", head, *sections])
 
 

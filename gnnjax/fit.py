@@ -54,17 +54,17 @@ def fit(config: FitConfig) -> Robot:
             from gnnjax.plot import check_picture, draw_cover
         check_picture(config.picture)
     robot = load_bare_arm(config.robot, config)
-    over = 1e3 * (robot.geom_radii - robot.geom_inner_radii)
+    over = 1e3 * (robot.sphere_radii - robot.sphere_inner_radii)
     table = Table(title=escape(robot.name))
     for name in ("part", "body", "spheres", "overshoot [mm]"):
         table.add_column(escape(name), overflow="fold")
     for number, part in enumerate(robot.parts):
-        rows = robot.geom_parts == number
+        rows = robot.sphere_parts == number
         body = robot.bodies[part.body].name if part.body >= 0 else "world"
         table.add_row(escape(part.name), escape(body), str(rows.sum()), f"{over[rows].max():.1f}")
     table.add_row("all", "", str(len(over)), f"{over.max():.1f}", style="bold")
     Console().print(table)
-    print(f"{len(robot.self_pairs)} pairs of spheres tell whether the arm meets itself")
+    print(f"{len(robot.sphere_pairs)} pairs of spheres tell whether the arm meets itself")
     print("planned for, in the order of start and goal, rad (or m):")
     for name, *ends in zip(robot.joint_names, robot.joint_lower, robot.joint_upper, strict=True):
         print(f"  {name}: {ends[0]:.4g} to {ends[1]:.4g}")
@@ -72,7 +72,9 @@ def fit(config: FitConfig) -> Robot:
         draw_cover(robot, config.picture)
         print(f"wrote {config.picture}")
     if config.keep:
-        rows = Rows(robot.geom_parts, robot.geom_centers, robot.geom_radii, robot.geom_inner_radii)
+        rows = Rows(
+            robot.sphere_parts, robot.sphere_centers, robot.sphere_radii, robot.sphere_inner_radii
+        )
         save_cover(cover_file(robot.path), robot.parts, rows)
         print(f"wrote {cover_file(robot.path)}")
     if config.out is not None:
@@ -89,14 +91,14 @@ def mjcf_of_spheres(robot: Robot) -> str:
     _keep_inertias(spec, model)
     bodies = {body.id: body for body in spec.bodies}
     geoms = {geom.id: geom for geom in spec.geoms}
-    for number, (part, g) in enumerate(zip(robot.parts, robot.part_geom_ids.tolist(), strict=True)):
+    for number, (part, g) in enumerate(zip(robot.parts, robot.part_geoms.tolist(), strict=True)):
         if len(part.vertices) <= 2:
             continue
-        for row in np.flatnonzero(robot.geom_parts == number):
+        for row in np.flatnonzero(robot.sphere_parts == number):
             bodies[part.body + 1].add_geom(
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                pos=robot.geom_centers[row],
-                size=[robot.geom_radii[row] + _ROUNDING, 0, 0],
+                pos=robot.sphere_centers[row],
+                size=[robot.sphere_radii[row] + _ROUNDING, 0, 0],
                 contype=int(model.geom_contype[g]),
                 conaffinity=int(model.geom_conaffinity[g]),
                 group=3,

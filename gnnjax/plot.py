@@ -105,9 +105,9 @@ def draw_cover(robot: Robot, out: str | Path) -> None:
     sphere = _unit_sphere()
     light = 0.7 + 0.3 * sphere.mean(axis=1) @ (0.3, -0.5, 0.8)
     figure = Figure(figsize=(9, 5), layout="constrained")
-    bodies = robot.geom_bodies
-    centers = np.einsum("gij,gj->gi", rotations[bodies], robot.geom_centers) + positions[bodies]
-    radii = robot.geom_radii
+    bodies = robot.sphere_bodies
+    centers = np.einsum("gij,gj->gi", rotations[bodies], robot.sphere_centers) + positions[bodies]
+    radii = robot.sphere_radii
     surfaces = centers[:, None, None] + radii[:, None, None, None] * sphere
     lower, upper = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
     for column, title in enumerate(("parts", "with their spheres"), start=1):
@@ -131,7 +131,7 @@ def draw_cover(robot: Robot, out: str | Path) -> None:
         axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
         axes.set_box_aspect(upper - lower)
         axes.set_axis_off()
-    figure.suptitle(f"{robot.name}: {len(robot.geom_radii)} spheres")
+    figure.suptitle(f"{robot.name}: {len(robot.sphere_radii)} spheres")
     atomic_write(out, lambda file: figure.savefig(file, dpi=130))
 
 

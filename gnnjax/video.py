@@ -78,7 +78,7 @@ def _frames(
         data.qpos = q
         mujoco.mj_forward(model, data)
         tips[number] = data.xpos[last_link(robot) + 1]
-        places = data.geom_xpos[robot.part_geom_ids]
+        places = data.geom_xpos[robot.part_geoms]
         low, high = np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))
     camera = mujoco.MjvCamera()
     camera.lookat = (low + high) / 2
@@ -127,7 +127,7 @@ def _stage(robot: Robot, scene: Scene) -> mujoco.MjModel:
     model = spec.compile()
     model.stat.extent = _NEAR  # not that of obstacles that are far away: what is near is cut off
     arm = np.arange(robot.mj_model.ngeom)
-    shown = robot.part_geom_ids
+    shown = robot.part_geoms
     model.geom_group[arm] = _HIDDEN
     model.geom_group[shown] = 0
     model.geom_matid[shown] = -1

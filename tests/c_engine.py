@@ -43,8 +43,8 @@ class Engine:
         """Least true distance, pair by pair, m."""
         self.move(np.asarray(q, float))
         weld = self.model.body_weldid[self.model.geom_bodyid]
-        moving = [g for g in robot.geom_ids.tolist() if weld[g]]
+        moving = [g for g in robot.sphere_geoms.tolist() if weld[g]]
         found = [self.box_distance(g, i) for g in moving for i in np.flatnonzero(scene.mask)]
-        for i, j in robot.geom_ids[robot.self_pairs].tolist():
+        for i, j in robot.sphere_geoms[robot.sphere_pairs].tolist():
             found.append(mujoco.mj_geomDistance(self.model, self.data, i, j, 10.0, None))
         return min(found)

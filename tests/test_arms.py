@@ -336,7 +336,7 @@ def test_links_that_touch_at_the_home_of_the_file_may(tmp_path):
 def test_bodies_may_be_allowed_to_touch(tmp_path):
     robot = load_robot(bricks(tmp_path), allow=[("lower", "upper"), ("base", "middle")])
     assert paired(robot) == {frozenset(("foot", "tip"))}
-    rows = {frozenset(robot.geom_parts[pair].tolist()) for pair in robot.self_pairs}
+    rows = {frozenset(robot.sphere_parts[pair].tolist()) for pair in robot.sphere_pairs}
     assert rows == {frozenset(pair) for pair in robot.part_pairs.tolist()}
 
 
@@ -370,7 +370,7 @@ def test_shipped_arms_have_the_spheres_that_are_shipped(caplog):
         assert robot.allowed_pairs == ()
         with np.load(assets_dir() / f"{name}_cover.npz") as kept:
             radii = np.concatenate([kept[part.name][:, 3] for part in robot.parts])
-        np.testing.assert_allclose(robot.geom_radii, radii, atol=2e-6)
-        inner, outer = robot.geom_inner_radii, robot.geom_radii
+        np.testing.assert_allclose(robot.sphere_radii, radii, atol=2e-6)
+        inner, outer = robot.sphere_inner_radii, robot.sphere_radii
         assert 0.8 < (inner < outer).mean()  # one sphere is a point inside
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING]

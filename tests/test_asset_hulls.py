@@ -76,8 +76,8 @@ def hulls(arm, links):
 def spheres_of(robot, name):
     """Centers [S, 3] and radii [S], outer and inner, of the spheres around a link, in its frame."""
     (number,) = (i for i, part in enumerate(robot.parts) if part.name == name)
-    rows = robot.geom_parts == number
-    return robot.geom_centers[rows], robot.geom_radii[rows], robot.geom_inner_radii[rows]
+    rows = robot.sphere_parts == number
+    return robot.sphere_centers[rows], robot.sphere_radii[rows], robot.sphere_inner_radii[rows]
 
 
 def configurations(model, count, rng, *, folded=False):
@@ -167,7 +167,7 @@ def test_spheres_are_few_and_tight(arm, model, robot, links, hulls):
         assert (inner <= depths + 1e-6).all(), f"{link.name}: what is inside is not"
     assert counts[links[0].name] == said.base
     assert sum(counts.values()) == said.base + said.moving
-    assert len(robot.self_pairs) == said.pairs
+    assert len(robot.sphere_pairs) == said.pairs
     names = [(robot.parts[a].name, robot.parts[b].name) for a, b in robot.part_pairs.tolist()]
     # Held fingers do not move against one another.
     fingers = ("left_finger", "right_finger")
@@ -179,9 +179,9 @@ def test_an_arm_of_its_spheres_is_the_same_arm(robot, tmp_path):
     path.write_text(mjcf_of_spheres(robot))
     saved = load_robot(path)
     assert saved.joint_names == robot.joint_names
-    np.testing.assert_array_equal(saved.self_pairs, robot.self_pairs)
-    np.testing.assert_allclose(saved.geom_radii, robot.geom_radii, atol=2e-5)
-    np.testing.assert_allclose(saved.geom_centers, robot.geom_centers, atol=2e-5)
+    np.testing.assert_array_equal(saved.sphere_pairs, robot.sphere_pairs)
+    np.testing.assert_allclose(saved.sphere_radii, robot.sphere_radii, atol=2e-5)
+    np.testing.assert_allclose(saved.sphere_centers, robot.sphere_centers, atol=2e-5)
     np.testing.assert_allclose(saved.home, robot.home, atol=1e-5)
     np.testing.assert_allclose(saved.mj_model.body_mass, robot.mj_model.body_mass, rtol=1e-4)
 
@@ -221,14 +221,14 @@ def test_excluded_links_cannot_meet(arm, model, links):
 def test_spheres_notice_every_self_collision_of_the_hulls(model, robot, links):
     data, rng = mujoco.MjData(model), np.random.default_rng(1)
     kept, hits = robot.part_pairs.tolist(), 0
-    first, second = robot.self_pairs.T
-    reach = robot.geom_radii[first] + robot.geom_radii[second]
-    bodies = robot.geom_bodies + 1
+    first, second = robot.sphere_pairs.T
+    reach = robot.sphere_radii[first] + robot.sphere_radii[second]
+    bodies = robot.sphere_bodies + 1
     for q in configurations(model, 3000, rng, folded=True):
         place(model, data, q)
         names = ((robot.parts[a].name, robot.parts[b].name) for a, b in kept)
         if min(hull_distance(model, data, pair) for pair in names) < 0:
-            turned = data.xmat[bodies].reshape(-1, 3, 3) @ robot.geom_centers[..., None]
+            turned = data.xmat[bodies].reshape(-1, 3, 3) @ robot.sphere_centers[..., None]
             centers = data.xpos[bodies] + turned[..., 0]
             apart = np.linalg.norm(centers[first] - centers[second], axis=1) - reach
             assert apart.min() < 0, q

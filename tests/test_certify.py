@@ -58,7 +58,7 @@ def test_a_collision_between_the_samples_of_a_planner_is_found(robots):
     robot = robots["tiny"]
     data = mujoco.MjData(robot.mj_model)
     mujoco.mj_kinematics(robot.mj_model, data)
-    tip, radius = data.geom_xpos[robot.geom_ids[-1]], robot.geom_radii[-1]
+    tip, radius = data.geom_xpos[robot.sphere_geoms[-1]], robot.sphere_radii[-1]
     # The tip grazes a needle for 0.014 rad, in the middle between two configurations 0.05 apart.
     edge = np.array([[1.3, 0.0, 0.0], [1.8, 0.0, 0.0]])
     angle = np.arctan2(tip[1], tip[0]) + 1.525

@@ -15,7 +15,7 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import base_clear, clearances
 from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.fused import obstacles_clear
-from gnnjax.collision.spheres import BLOCKED, CLOUD
+from gnnjax.collision.levels import BLOCKED, CLOUD
 from gnnjax.errors import InputError
 from gnnjax.planning.load import load_planner
 from gnnjax.problems.problem import Problem

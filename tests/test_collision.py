@@ -190,7 +190,7 @@ def test_obstacles_clear_matches_distances(capsules, tiny):
                 q = random_configurations(rng, robot, 1)[0]
                 engine.place(scene)
                 engine.move(np.asarray(q, float))
-                geoms = [g for g in robot.geom_ids.tolist() if not (base_only and weld[g])]
+                geoms = [g for g in robot.sphere_geoms.tolist() if not (base_only and weld[g])]
                 expected = [min(engine.box_distance(g, i) for g in geoms) > 0 for i in range(8)]
                 assert np.asarray(found(scene, q)).tolist() == [*expected, True, True]
 
@@ -202,7 +202,7 @@ def test_the_spheres_around_other_geoms_notice_all_that_these_touch(tiny, tmp_pa
     assert geom in text
     path.write_text(text.replace(geom, '<geom type="cylinder" size="0.1 0.1" euler="1 2 0"/>'))
     robot, rng = load_robot(path), np.random.default_rng(5)
-    assert (robot.geom_parts == 3).sum() > 1
+    assert (robot.sphere_parts == 3).sum() > 1
     engine, check = Engine(robot), jax.jit(make_checker(robot).check_configurations)
     scene, q = random_boxes(rng, 5, rotated=True), random_configurations(rng, robot, 500)
     engine.place(scene)

@@ -13,7 +13,7 @@ from gnnjax.collision.checker import make_checker
 from gnnjax.collision.contact_cells import CLEAR, OPEN, TOUCHING
 from gnnjax.collision.contact_maps import ContactMaps, contact_maps
 from gnnjax.collision.couples import couple_of, reaches
-from gnnjax.collision.spheres import BLOCKED
+from gnnjax.collision.levels import BLOCKED
 from gnnjax.digest import digest
 from gnnjax.scene.scene import make_scene
 from gnnjax.scene.shapes import sphere
@@ -42,7 +42,7 @@ def maps(folding):
 def distances(robot, number, q):
     """Of the parts of a pair, m, by the C engine; not above 0 where they touch."""
     model, data, found = robot.mj_model, mujoco.MjData(robot.mj_model), []
-    first, second = robot.part_geom_ids[robot.part_pairs[number]].tolist()
+    first, second = robot.part_geoms[robot.part_pairs[number]].tolist()
     for row in q:
         data.qpos[:] = row
         mujoco.mj_kinematics(model, data)
@@ -74,7 +74,7 @@ def test_cells_say_what_the_c_engine_says(folding, maps):
 
 def test_parts_that_never_touch_need_no_look(folding, maps):
     mapped = {one.pair for one in maps.alone + maps.beside}
-    left = np.sort(folding.geom_parts[maps.pairs], axis=1).tolist()
+    left = np.sort(folding.sphere_parts[maps.pairs], axis=1).tolist()
     never = [
         number
         for number, parts in enumerate(folding.part_pairs.tolist())
@@ -112,9 +112,9 @@ def half_beside(folding, maps):
     """Every other map is asked before spheres are looked at, the others after."""
     every = maps.alone + maps.beside
     parts = [sorted(folding.part_pairs[one.pair].tolist()) for one in every[1::2]]
-    of = np.sort(folding.geom_parts[folding.self_pairs], axis=1).tolist()
+    of = np.sort(folding.sphere_parts[folding.sphere_pairs], axis=1).tolist()
     own = np.array([pair in parts for pair in of])
-    return ContactMaps(every[::2], every[1::2], folding.self_pairs[own], maps.pairs)
+    return ContactMaps(every[::2], every[1::2], folding.sphere_pairs[own], maps.pairs)
 
 
 def test_verdicts_are_those_without_maps(folding, maps, monkeypatch):
@@ -122,7 +122,7 @@ def test_verdicts_are_those_without_maps(folding, maps, monkeypatch):
     scene = jax.tree.map(lambda x: x[None], make_scene([[9.0, 9.0, 9.0]], [[0.1, 0.1, 0.1]]))
     verdicts, left = [], []
     for some in (
-        ContactMaps((), (), np.empty((0, 2), int), folding.self_pairs),
+        ContactMaps((), (), np.empty((0, 2), int), folding.sphere_pairs),
         half_beside(folding, maps),
     ):
         monkeypatch.setattr(fused, "contact_maps", lambda robot, some=some: some)
@@ -153,9 +153,9 @@ def test_maps_are_made_while_a_function_is_traced(folding, monkeypatch):
 
 def couples_of(robot):
     """Of every pair of parts that three joints or fewer move: its number, joints and couple."""
-    spheres = np.sort(robot.geom_parts[robot.self_pairs], axis=1)
+    spheres = np.sort(robot.sphere_parts[robot.sphere_pairs], axis=1)
     for number, parts in enumerate(robot.part_pairs.tolist()):
-        rows = robot.self_pairs[(spheres == sorted(parts)).all(axis=1)]
+        rows = robot.sphere_pairs[(spheres == sorted(parts)).all(axis=1)]
         found = couple_of(robot, parts, rows, *simpler_hulls(robot))
         if found is not None:
             yield number, *found

@@ -45,7 +45,7 @@ def nudged(array):
 
 
 @pytest.mark.parametrize(
-    "name", ["geom_centers", "geom_radii", "geom_inner_radii", "joint_lower", "joint_upper"]
+    "name", ["sphere_centers", "sphere_radii", "sphere_inner_radii", "joint_lower", "joint_upper"]
 )
 def test_the_last_bit_of_an_arm_counts(tiny, name):
     changed = dataclasses.replace(tiny, **{name: nudged(getattr(tiny, name))})
@@ -59,7 +59,7 @@ def test_what_an_arm_holds_touches_and_how_its_links_lie_counts(tiny):
         tiny,
         tiny.attach("lower", [box([0.2, 0, 0], [0.02, 0.02, 0.02])]),
         tiny.attach("lower", [box([0.2, 0, 0], [0.02, 0.02, 0.021])]),
-        dataclasses.replace(tiny, self_pairs=tiny.self_pairs[:-1]),
+        dataclasses.replace(tiny, sphere_pairs=tiny.sphere_pairs[:-1]),
         dataclasses.replace(tiny, part_pairs=tiny.part_pairs[:-1]),
         dataclasses.replace(tiny, held={"finger": 0.04}),
         dataclasses.replace(tiny, bodies=(tiny.bodies[0], moved, *tiny.bodies[2:])),

@@ -16,6 +16,7 @@ from gnnjax.arm.robot import load_robot
 from gnnjax.clock import Clock
 from gnnjax.errors import InputError
 from gnnjax.planning import progress
+from gnnjax.planning.batch import Batch
 from gnnjax.planning.engine import Run
 from gnnjax.planning.load import make_planner
 from gnnjax.planning.options import make_options
@@ -136,14 +137,14 @@ def test_a_batch_says_of_each_invalid_problem_what_plan_says_of_it(planner, prob
 
 
 def test_every_check_is_counted_once(planner, problems, monkeypatch):
-    counted, test = [], Run.test
+    counted, test = [], Batch.test
 
     def note(self, ids, items):
         outcome = test(self, ids, items)
         counted.append((outcome.num_checks.sum(), outcome.num_edges.sum(), len(ids) - len({*ids})))
         return outcome
 
-    monkeypatch.setattr(Run, "test", note)
+    monkeypatch.setattr(Batch, "test", note)
     monkeypatch.setattr(devices, "num_cores", lambda: 1)
     more = dataclasses.replace(planner.options, max_roadmaps=4)
     monkeypatch.setattr(planner, "options", more)
@@ -233,21 +234,21 @@ def test_a_time_limit_acts_between_rounds(planner, problems, plans, monkeypatch)
     some = jax.tree.map(lambda x: x[hopeless], problems)
     free = run_of(planner, some, 16)
     assert not any(plan.success for plan in free.run())
-    assert free.rounds.max() > 3
+    assert free.batch.rounds.max() > 3
 
     def spend(self, ids, begin, *, planning=True):
         self.total_time[ids] += 1.0
         return begin
 
-    monkeypatch.setattr(Run, "spend", spend)
+    monkeypatch.setattr(Batch, "spend", spend)
     limited = run_of(planner, some, 16, 8.0)
     for i, plan in enumerate(limited.run()):
         assert not plan.success
-        assert limited.rounds[i] <= 8
+        assert limited.batch.rounds[i] <= 8
         if plan.total_time_s > 8:
             assert "; 8 s are over, give it more time" in plan.reason
-    assert limited.rounds.sum() < free.rounds.sum() / 2
-    assert limited.total_time.max() > 8
+    assert limited.batch.rounds.sum() < free.batch.rounds.sum() / 2
+    assert limited.batch.total_time.max() > 8
 
 
 def test_where_checks_are_cheap_trees_find_the_paths(

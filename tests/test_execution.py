@@ -321,7 +321,7 @@ def test_strays_and_clearances_bound_what_is_seen(robot):
         for q in rows[::20]:
             data.qpos = q
             mujoco.mj_kinematics(model, data)
-            for g in robot.part_geom_ids[1:].tolist():
+            for g in robot.part_geoms[1:].tolist():
                 apart = mujoco.mj_geomDistance(model, data, g, ball, 1.0, None)
                 nearest[name] = min(nearest[name], apart)
     clearance = motion_clearance(robot, scene, found.trace.wanted.positions)

@@ -98,14 +98,14 @@ def tip_by_mujoco(robot, q):
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = q
     mujoco.mj_kinematics(robot.mj_model, data)
-    return data.geom_xpos[robot.geom_ids[-1]]  # the tiny arm's last body has one geom
+    return data.geom_xpos[robot.sphere_geoms[-1]]  # the tiny arm's last body has one geom
 
 
 def axis_by_mujoco(robot, q):
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = q
     mujoco.mj_kinematics(robot.mj_model, data)
-    return data.geom_xmat[robot.geom_ids[-1]].reshape(3, 3)[:, 2]
+    return data.geom_xmat[robot.sphere_geoms[-1]].reshape(3, 3)[:, 2]
 
 
 def inside(region, point):

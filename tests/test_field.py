@@ -148,14 +148,14 @@ def test_a_point_is_in_the_cell_whose_center_is_nearest():
 def sphere_places(robot, q):
     """Where MuJoCo has the centres `[B G 3]` of the moving spheres, m, and their radii."""
     data, rows = mujoco.MjData(robot.mj_model), np.flatnonzero(moved_by_joint(robot))
-    bodies, places = robot.geom_bodies[rows] + 1, []  # the first of MuJoCo's is the world
+    bodies, places = robot.sphere_bodies[rows] + 1, []  # the first of MuJoCo's is the world
     for row in np.asarray(q, float):
         data.qpos[:] = row
         mujoco.mj_kinematics(robot.mj_model, data)
         turns = data.xmat.reshape(-1, 3, 3)[bodies]
-        turned = np.einsum("sij,sj->si", turns, robot.geom_centers[rows])
+        turned = np.einsum("sij,sj->si", turns, robot.sphere_centers[rows])
         places.append(data.xpos[bodies] + turned)
-    return np.array(places), robot.geom_radii[rows]
+    return np.array(places), robot.sphere_radii[rows]
 
 
 def plain_margins(grid, field, centers, radii):

@@ -216,11 +216,13 @@ def test_the_command_shows_and_saves_spheres_that_load_as_the_same_arm(tmp_path,
         assert f"  {name}: {ends[0]:.4g} to {ends[1]:.4g}\n" in printed
     assert picture.stat().st_size > 10_000
     saved = load_robot(out)
-    assert (saved.geom_inner_radii == saved.geom_radii).all()
-    assert len(saved.geom_radii) == len(robot.geom_radii)
-    assert len(saved.self_pairs) == len(robot.self_pairs)
-    fitted = robot.geom_inner_radii < robot.geom_radii
-    larger = np.sort(saved.geom_radii)[1:] - np.sort(robot.geom_radii[fitted])  # the ball is least
+    assert (saved.sphere_inner_radii == saved.sphere_radii).all()
+    assert len(saved.sphere_radii) == len(robot.sphere_radii)
+    assert len(saved.sphere_pairs) == len(robot.sphere_pairs)
+    fitted = robot.sphere_inner_radii < robot.sphere_radii
+    larger = np.sort(saved.sphere_radii)[1:] - np.sort(
+        robot.sphere_radii[fitted]
+    )  # the ball is least
     assert (larger > 5e-6).all()
     assert (larger < 2e-5).all()
     np.testing.assert_allclose(saved.mj_model.body_mass, robot.mj_model.body_mass, atol=1e-5)

@@ -113,11 +113,11 @@ def test_it_is_kept_clear_of_the_link_just_before_the_one_that_holds_it(tiny):
 
 def ball_at_the_end(robot):
     """A ball where the far end of what is held is at zero, and that nothing else touches."""
-    rows = robot.geom_parts == len(robot.parts) - 1
+    rows = robot.sphere_parts == len(robot.parts) - 1
     data = mujoco.MjData(robot.mj_model)
     mujoco.mj_kinematics(robot.mj_model, data)
     body = robot.parts[-1].body + 1
-    centers = robot.geom_centers[rows] @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+    centers = robot.sphere_centers[rows] @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
     return scene_from_shapes([sphere(centers[np.linalg.norm(centers, axis=1).argmax()], 0.02)])
 
 
@@ -246,7 +246,7 @@ def test_an_arm_that_holds_two_things_is_no_other_arm(tiny, holding, tmp_path):
     both = other.attach("middle", [sphere([0.1, 0.0, 0.15], 0.03)])
     assert len({robot.name for robot in (tiny, holding, other, both)}) == 4
     assert [part.name for part in both.parts[-2:]] == ["held_box_0", "held_sphere_0"]
-    for part, g in zip(both.parts, both.part_geom_ids.tolist(), strict=True):
+    for part, g in zip(both.parts, both.part_geoms.tolist(), strict=True):
         assert both.mj_model.geom_bodyid[g] == part.body + 1
     # The last that was taken is what problems are about, whichever link holds it.
     holders = "middle", "lower"

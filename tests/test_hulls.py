@@ -62,7 +62,7 @@ def least_distance(robot, scene, q):
     """m, of what may touch what, by the C engine; negative in collision."""
     engine, found = Engine(robot, scene), np.empty(len(q))
     model, data = engine.model, engine.data
-    parts = robot.part_geom_ids.tolist()
+    parts = robot.part_geoms.tolist()
     moving = [g for g in parts if model.body_weldid[model.geom_bodyid[g]]]
     placed = range(model.ngeom - len(scene.mask), model.ngeom)
     pairs = [(a, b) for a in moving for b, exists in zip(placed, scene.mask, strict=True) if exists]

@@ -81,7 +81,7 @@ def test_of_arms_all_that_moves_is_drawn(name):
     assert moved == {piece.body for piece in ghost_pieces(robot, (1.0, 0.0, 0.0, 0.5))}
     assert moved <= {piece.body for piece in arm_pieces(robot)}
     # What has clothes of its own is not drawn as its hulls.
-    assert not set(shown_geoms(robot)) & set(robot.part_geom_ids.tolist())
+    assert not set(shown_geoms(robot)) & set(robot.part_geoms.tolist())
 
 
 def test_what_an_arm_holds_is_drawn_and_so_is_an_arm_without_clothes(tiny):

@@ -110,7 +110,7 @@ def test_verdicts_are_those_of_the_fused_kernels_spheres(name, request, monkeypa
     none = np.empty((0, 2), int)
     monkeypatch.setattr(
         "gnnjax.collision.fused.contact_maps",
-        lambda robot: ContactMaps((), (), none, robot.self_pairs),
+        lambda robot: ContactMaps((), (), none, robot.sphere_pairs),
     )
     fused = make_checker(robot)
     first = jax.jit(fused.levels.first)
@@ -164,14 +164,14 @@ def test_what_is_free_by_mjx_is_free_by_the_c_engine(mixed):
 
 def test_poses_are_those_of_mjx(tiny):
     q = random_configurations(np.random.default_rng(7), tiny, 3)
-    rows = np.arange(len(tiny.geom_radii))
+    rows = np.arange(len(tiny.sphere_radii))
     model = mjx.put_model(tiny.mj_model, impl="jax")
     data = mjx.make_data(tiny.mj_model, impl="jax")
     expected = jax.jit(jax.vmap(lambda q: mjx.kinematics(model, data.replace(qpos=q))))(q)
     placed = _placer(tiny, jnp.asarray(q))(rows)
     full = [np.broadcast_to(x, (len(rows), len(q))) for x in placed.position.flat]
     position = np.stack(full, axis=-1).swapaxes(0, 1)  # [B G 3]
-    np.testing.assert_allclose(position, expected.geom_xpos[:, tiny.part_geom_ids], atol=1e-5)
+    np.testing.assert_allclose(position, expected.geom_xpos[:, tiny.part_geoms], atol=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -213,7 +213,7 @@ def test_labels_of_all_backends_are_compared(tiny, tmp_path, capsys):
 
 
 def test_a_judge_that_errs_is_named_with_the_engines_distance(tiny, monkeypatch, capsys):
-    thin = dataclasses.replace(tiny, geom_radii=tiny.geom_radii - 0.01)
+    thin = dataclasses.replace(tiny, sphere_radii=tiny.sphere_radii - 0.01)
     monkeypatch.setattr(
         compare_labels,
         "make_checker",

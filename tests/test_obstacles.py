@@ -90,7 +90,7 @@ def engine_distances(robot, scene, q):
     data = mujoco.MjData(model)
     place_obstacles(model, data, scene)
     placed = obstacles(model, len(scene.mask)).geoms
-    moving = [g for g in robot.geom_ids.tolist() if model.body_weldid[model.geom_bodyid[g]]]
+    moving = [g for g in robot.sphere_geoms.tolist() if model.body_weldid[model.geom_bodyid[g]]]
     found = np.full((len(q), len(scene.mask)), np.inf)
     for row, at in enumerate(np.asarray(q, float)):
         data.qpos[:] = at
@@ -159,7 +159,7 @@ def test_obstacles_in_the_base_are_found_by_kind(tiny):
     data = mujoco.MjData(model)
     place_obstacles(model, data, scene)
     mujoco.mj_kinematics(model, data)
-    (base,) = (g for g in tiny.geom_ids.tolist() if not model.body_weldid[model.geom_bodyid[g]])
+    (base,) = (g for g in tiny.sphere_geoms.tolist() if not model.body_weldid[model.geom_bodyid[g]])
     apart = [
         mujoco.mj_geomDistance(model, data, base, int(g), 10.0, None)
         for g in obstacles(model, len(scene.mask)).geoms

@@ -27,7 +27,7 @@ def mujoco_distances(robot, q, points):
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = q
-    geoms, probe, found = robot.part_geom_ids.tolist(), model.geom("probe").id, []
+    geoms, probe, found = robot.part_geoms.tolist(), model.geom("probe").id, []
     for point in points:
         data.mocap_pos[0] = point
         mujoco.mj_kinematics(model, data)

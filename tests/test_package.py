@@ -53,10 +53,11 @@ scene.scene scene.batches scene.allowed scene.surfaces scene.octomap scene.units
 scene.geometry scene.field scene.mujoco_world
 scene.pose scene.held scene.holding scene.messages scene.collision_objects
 scene.moveit scene.robot_in_mjcf scene.from_mjcf scene.any_file
-collision.spheres collision.simplex collision.convex collision.reaches collision.couples
+collision.placed collision.spheres collision.simplex collision.convex collision.reaches
+collision.couples
 collision.contact_cells collision.contact_maps collision.exact collision.components
 collision.obstacles collision.hulls collision.bounds collision.link_frames
-collision.fused collision.mjx collision.points collision.cloud collision.edges
+collision.levels collision.fused collision.mjx collision.points collision.cloud collision.edges
 collision.stretches collision.checker collision.blocks collision.one_call collision.sequences
 collision.travel collision.gaps collision.certify collision.clearances collision.margins
 roadmap.graph roadmap.sampled roadmap.paths roadmap.smallest roadmap.sobol roadmap.stored

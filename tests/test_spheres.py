@@ -58,17 +58,17 @@ def test_the_clearance_of_small_balls_far_from_each_other_is_that_by_tables_too(
 
 
 def test_a_row_is_of_two_links_and_its_balls_hold_its_spheres(capsules, in_tables):
-    table = spheres.pair_table(capsules, capsules.self_pairs)
+    table = spheres.pair_table(capsules, capsules.sphere_pairs)
     assert {frozenset(x) for x in table.pairs.reshape(-1, 2).tolist()} == {
-        frozenset(x) for x in capsules.self_pairs.tolist()
+        frozenset(x) for x in capsules.sphere_pairs.tolist()
     }
     for q in random_configurations(np.random.default_rng(6), capsules, 20):
         centers = np.array(
-            spheres.sphere_centers(capsules, joint_terms(capsules, jnp.asarray(q, jnp.float32)))
+            spheres.placed_spheres(capsules, joint_terms(capsules, jnp.asarray(q, jnp.float32)))
         )
         far, apart = (
             np.linalg.norm(centers[x[..., 0]] - centers[x[..., 1]], axis=-1)
             for x in (table.near, table.pairs)
         )
-        gaps = (apart - capsules.geom_radii[table.pairs].sum(axis=-1)).min(axis=1)
+        gaps = (apart - capsules.sphere_radii[table.pairs].sum(axis=-1)).min(axis=1)
         assert (gaps >= far - table.reach - 1e-6).all()

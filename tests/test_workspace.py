@@ -33,7 +33,7 @@ def test_distances_agree_with_mujocos_points_and_plain_geometry(tiny_path):
     scene = random_scene(rng)
     q = rng.uniform(robot.joint_lower, robot.joint_upper, (20, 3)).astype(np.float32)
     found = jax.jit(point_distances(robot, 3))(jax.tree.map(jnp.asarray, scene), jnp.asarray(q))
-    data, geoms = mujoco.MjData(robot.mj_model), robot.geom_ids[list(choose_points(robot, 3))]
+    data, geoms = mujoco.MjData(robot.mj_model), robot.sphere_geoms[list(choose_points(robot, 3))]
     signs = set()
     for row, configuration in zip(np.asarray(found), q, strict=True):
         data.qpos[:] = configuration
@@ -58,7 +58,7 @@ def test_points_are_spread_over_the_moving_arm(name):
     robot = load_robot(name)
     points = choose_points(robot, 12)
     assert len(set(points)) == 12
-    bodies = robot.geom_bodies[list(points)]
+    bodies = robot.sphere_bodies[list(points)]
     assert (np.diff(bodies) >= 0).all()  # from the base to the tip
     assert bodies.min() > 0
     assert len(set(bodies.tolist())) >= 5
@@ -148,15 +148,15 @@ def test_an_arms_view_agrees_with_mujocos_points_and_plain_geometry(tiny_path):
     q = rng.uniform(robot.joint_lower, robot.joint_upper, (40, 3)).astype(np.float32)
     found = jax.jit(arm_view(robot, num))(scene, q)
     data, chosen = mujoco.MjData(robot.mj_model), list(choose_points(robot, num))
-    bodies = robot.geom_bodies
-    touching = {(bodies[a], bodies[b]) for a, b in robot.self_pairs}
+    bodies = robot.sphere_bodies
+    touching = {(bodies[a], bodies[b]) for a, b in robot.sphere_pairs}
     boxes = list(zip(scene.centers, scene.half_extents, scene.quats, scene.mask, strict=True))
     near = set()
     for i, configuration in enumerate(q):
         data.qpos[:] = configuration
         mujoco.mj_kinematics(robot.mj_model, data)
-        points = data.geom_xpos[robot.geom_ids[chosen]]
-        radii = robot.mj_model.geom_size[robot.geom_ids[chosen], 0]
+        points = data.geom_xpos[robot.sphere_geoms[chosen]]
+        radii = robot.mj_model.geom_size[robot.sphere_geoms[chosen], 0]
         np.testing.assert_allclose(found.points[i], points, atol=2e-6)
         for p in range(num):
             expected = min(signed_distance(points[p], *b) for *b, exists in boxes if exists)
@@ -175,5 +175,5 @@ def test_an_arms_view_without_boxes_is_far_from_them(tiny_path):
     robot = load_robot(tiny_path)
     scene = jax.tree.map(jnp.asarray, make_scene([], []))
     seen = jax.jit(arm_view(robot, 5))(scene, np.zeros((2, 3), np.float32))
-    radii = robot.geom_radii[list(choose_points(robot, 5))]
+    radii = robot.sphere_radii[list(choose_points(robot, 5))]
     np.testing.assert_allclose(seen.clearance[:, :5], np.tile(10 - radii, (2, 1)), rtol=1e-6)

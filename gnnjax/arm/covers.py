@@ -70,14 +70,14 @@ def chain_cover(part: Part) -> Cover:
     return Cover(centers, np.full(num, radius), np.full(num, part.radius))
 
 
-def pairs_of_rows(geom_parts: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Pairs `[S 2]` of the rows of a cover, of pairs of parts, in order.
+def pairs_of_spheres(sphere_parts: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Pairs `[S 2]` of spheres, those of pairs of parts, in order.
 
     Args:
-        geom_parts: `[G]` part of each row.
+        sphere_parts: `[G]` part of each sphere.
         pairs: `[Q 2]` of parts.
     """
-    of_part = [np.flatnonzero(geom_parts == number) for number in range(1 + geom_parts.max())]
+    of_part = [np.flatnonzero(sphere_parts == number) for number in range(1 + sphere_parts.max())]
     rows = [
         np.sort(np.stack(np.meshgrid(of_part[a], of_part[b]), axis=-1).reshape(-1, 2), axis=1)
         for a, b in pairs.tolist()

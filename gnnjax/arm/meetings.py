@@ -37,7 +37,7 @@ def meeting_share(robot: Robot, first: int, second: int) -> float:
     """Share of random configurations in which two parts overlap."""
     model = robot.mj_model
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
-    geoms = [int(robot.part_geom_ids[part]) for part in (first, second)]
+    geoms = [int(robot.part_geoms[part]) for part in (first, second)]
     count = 0
     for q in rng.uniform(robot.joint_lower, robot.joint_upper, (_SAMPLES, robot.num_dof)):
         data.qpos[:] = q

@@ -24,7 +24,7 @@ import numpy as np
 from gnnjax.arm.bodies import Body, read_body
 from gnnjax.arm.choice import ArmChoice
 from gnnjax.arm.contacts import always_touching, bearings, exclude_bodies, without_bodies
-from gnnjax.arm.covers import cover_file, cover_parts, pairs_of_rows
+from gnnjax.arm.covers import cover_file, cover_parts, pairs_of_spheres
 from gnnjax.arm.joints import joint_name
 from gnnjax.arm.load import Load, held_names, names_with
 from gnnjax.arm.mjcf import check_joints, collision_geoms, self_pairs, without_warnings
@@ -58,17 +58,17 @@ class Robot:
     rest_limit: np.ndarray | None  # [D] N m or N, that may hold the arm at rest; None: any may
     home: np.ndarray  # [D] the keyframe "home", or the middle of the joint ranges
     parts: tuple[Part, ...]  # P, the collision geometry
-    part_geom_ids: np.ndarray  # [P] geom of `mj_model` that each part is
+    part_geoms: np.ndarray  # [P] geom of `mj_model` that each part is
     part_pairs: np.ndarray  # [Q 2] indices of parts that must stay clear of each other
     allowed_pairs: tuple[tuple[str, str], ...]  # names of parts that always touch, and may
     # The cover: spheres that enclose the parts.
-    geom_parts: np.ndarray  # [G] index into `parts`
-    geom_bodies: np.ndarray  # [G] index into `bodies`, -1 for geoms fixed to the world
-    geom_centers: np.ndarray  # [G 3] m, in the body's frame
-    geom_radii: np.ndarray  # [G] m
-    geom_inner_radii: np.ndarray  # [G] m, of what lies inside the part; not above 0: the centre is
-    # outside of it
-    self_pairs: np.ndarray  # [S 2] of spheres that must stay clear of each other
+    sphere_parts: np.ndarray  # [G] index into `parts`
+    sphere_bodies: np.ndarray  # [G] index into `bodies`, -1 of what is fixed to the world
+    sphere_centers: np.ndarray  # [G 3] m, in the body's frame
+    sphere_radii: np.ndarray  # [G] m
+    # [G] m, of what lies inside the part; not above 0: the centre is outside of it
+    sphere_inner_radii: np.ndarray
+    sphere_pairs: np.ndarray  # [S 2] of spheres that must stay clear of each other
     loads: tuple[Load, ...]  # what it holds, in the order of `attach`
     notes: tuple[str, ...]  # what was decided where the file leaves it open
 
@@ -80,13 +80,13 @@ class Robot:
         """What it is, in a line: its arrays would fill pages of a notebook."""
         return (
             f"Robot({self.name!r}, joints {', '.join(self.joint_names)}, {len(self.parts)} parts, "
-            f"{len(self.geom_radii)} spheres)"
+            f"{len(self.sphere_radii)} spheres)"
         )
 
     @property
-    def geom_ids(self) -> np.ndarray:
-        """`[G]` geom of `mj_model` that each row covers."""
-        return self.part_geom_ids[self.geom_parts]
+    def sphere_geoms(self) -> np.ndarray:
+        """`[G]` geom of `mj_model` that each sphere covers."""
+        return self.part_geoms[self.sphere_parts]
 
     @property
     def plain_name(self) -> str:
@@ -285,15 +285,15 @@ def _robot_of(
         rest_limit=None,
         home=home,
         parts=parts,
-        part_geom_ids=geom_ids,
+        part_geoms=geom_ids,
         part_pairs=pairs,
         allowed_pairs=allowed,
-        geom_parts=rows.parts,
-        geom_bodies=np.array([parts[p].body for p in rows.parts.tolist()]),
-        geom_centers=rows.centers,
-        geom_radii=rows.radii,
-        geom_inner_radii=rows.inner_radii,
-        self_pairs=pairs_of_rows(rows.parts, pairs),
+        sphere_parts=rows.parts,
+        sphere_bodies=np.array([parts[p].body for p in rows.parts.tolist()]),
+        sphere_centers=rows.centers,
+        sphere_radii=rows.radii,
+        sphere_inner_radii=rows.inner_radii,
+        sphere_pairs=pairs_of_spheres(rows.parts, pairs),
         loads=(),
         notes=notes,
     )

@@ -32,13 +32,13 @@ class Spheres:
     """The robot as spheres, with bounds on how far each can move."""
 
     def __init__(self, robot: Robot):
-        if not ((robot.geom_radii > 0) & np.isfinite(robot.geom_radii)).all():
+        if not ((robot.sphere_radii > 0) & np.isfinite(robot.sphere_radii)).all():
             raise InputError(f"geoms of {robot.name} have radii that are not positive; mend them")
         self.robot = robot
         # Spheres of one body lie side by side: they are a link.
-        owner = np.argsort(robot.geom_bodies, kind="stable")
-        self.bodies, self.centers = robot.geom_bodies[owner], robot.geom_centers[owner].T
-        self.radii = robot.geom_radii[owner]
+        owner = np.argsort(robot.sphere_bodies, kind="stable")
+        self.bodies, self.centers = robot.sphere_bodies[owner], robot.sphere_centers[owner].T
+        self.radii = robot.sphere_radii[owner]
         self.reach = np.empty((len(owner), robot.num_dof))
         for body in np.unique(self.bodies).tolist():
             own = self.bodies == body
@@ -49,13 +49,13 @@ class Spheres:
         # [D 3 3], whose products with vectors are those of the axes: row i is e_i x axis.
         self.crosses = np.cross(np.eye(3), axes[:, None])
         self._find_links()
-        self.part = robot.geom_parts[owner]
+        self.part = robot.sphere_parts[owner]
         # How much farther away than a sphere its part may be: no farther than a ball in the part.
-        inner = robot.geom_inner_radii[owner]
+        inner = robot.sphere_inner_radii[owner]
         self.slack = np.where(inner > 0, self.radii - inner, np.inf)
         self.part_links = np.searchsorted(self.links, [part.body for part in robot.parts])
         self._reach_of_parts()
-        self._sort_pairs(np.argsort(owner)[robot.self_pairs])
+        self._sort_pairs(np.argsort(owner)[robot.sphere_pairs])
 
     def _find_links(self) -> None:
         """What the spheres of a body have in common: L links, and a ball around each."""

@@ -25,8 +25,9 @@ from gnnjax.collision.edges import (
     most_intervals,
     test_edges,
 )
-from gnnjax.collision.fused import Levels, fused_functions
-from gnnjax.collision.spheres import BLOCKED, in_table
+from gnnjax.collision.fused import fused_functions
+from gnnjax.collision.levels import BLOCKED, Levels
+from gnnjax.collision.spheres import in_table
 from gnnjax.collision.stretches import Edges, Stretches
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
@@ -113,7 +114,9 @@ def make_checker(
         scene: Scene, starts: Float[Array, "E D"], ends: Float[Array, "E D"]
     ) -> Bool[Array, " E"]:
         # Torques at rest may be too large between two places where they are not.
-        by_points = backend != "fused" or robot.rest_limit is not None or in_table(robot.self_pairs)
+        by_points = (
+            backend != "fused" or robot.rest_limit is not None or in_table(robot.sphere_pairs)
+        )
         if scene.cloud is not None or by_points:
             return check_edges(scene, starts, ends).valid
         *cut, testable = cut_edges(starts, ends, resolution, most)

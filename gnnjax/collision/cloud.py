@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 from gnnjax.arm.kinematics import body_frames, joint_terms, transform
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.exact import WORD, bits_of
-from gnnjax.collision.fused import CollisionFunctions, Levels
+from gnnjax.collision.levels import BLOCKED, CLOUD, CollisionFunctions, Levels
 from gnnjax.collision.points import Leaves, clear_of_points, leaves_of
-from gnnjax.collision.spheres import BLOCKED, CLOUD, moved_by_joint
+from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.scene.cloud import Cloud
 from gnnjax.scene.lookup import Corners, corners_around, lookup
 from gnnjax.scene.scene import Scene
@@ -64,13 +64,13 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
         """
 
         def look(words: list, g: int, corners: Corners, reach: jax.Array) -> list:
-            word, bit = divmod(int(robot.geom_parts[g]), WORD)
+            word, bit = divmod(int(robot.sphere_parts[g]), WORD)
             more = reach + _ROUNDING
             gap = corners.at_least() * (1.0 - _SHARE) - more * more
             # So that NaN is not clear.
             hit = jnp.where(gap > 0.0, jnp.uint32(0), jnp.uint32(1 << bit))
-            if deep and robot.geom_inner_radii[g] > 0:  # whose centre is inside of its part
-                less = reach - float(robot.geom_radii[g] - robot.geom_inner_radii[g])
+            if deep and robot.sphere_inner_radii[g] > 0:  # whose centre is inside of its part
+                less = reach - float(robot.sphere_radii[g] - robot.sphere_inner_radii[g])
                 hit = hit | jnp.where(corners.are_within(less), BLOCKED, jnp.uint32(0))
             return [x | hit if i == word else x for i, x in enumerate(words)]
 
@@ -187,9 +187,9 @@ def over_moving_spheres(robot: Robot) -> Callable[..., Any]:
     sphere's centre, and the sum of its radius and that of the balls.
     """
     moving: list[int] = np.flatnonzero(moved_by_joint(robot)).tolist()
-    bodies: list[int] = robot.geom_bodies.tolist()
-    radii: list[float] = robot.geom_radii.tolist()
-    centers = robot.geom_centers.tolist()
+    bodies: list[int] = robot.sphere_bodies.tolist()
+    radii: list[float] = robot.sphere_radii.tolist()
+    centers = robot.sphere_centers.tolist()
 
     def over(
         cloud: Cloud,

@@ -70,7 +70,7 @@ class ContactMaps(NamedTuple):
 
     alone: tuple[ContactMap, ...]  # which say all that spheres would
     beside: tuple[ContactMap, ...]  # which are to be asked about what spheres leave open
-    pairs_beside: np.ndarray  # [S 2] of `Robot.self_pairs`, those of the latter
+    pairs_beside: np.ndarray  # [S 2] of `Robot.sphere_pairs`, those of the latter
     pairs: np.ndarray  # [S 2] those of no map; none of parts that never touch
 
     def words(self, maps: tuple[ContactMap, ...], q: Float[Array, "*batch D"]) -> jax.Array:
@@ -96,12 +96,12 @@ def contact_maps(robot: Robot) -> ContactMaps:
     """The maps of an arm; seconds of work, kept in the cache folder."""
     vertices, radii = simpler_hulls(robot)
     alone, beside, settled, joined = [], [], set(), set()
-    sphere_pairs = np.sort(robot.geom_parts[robot.self_pairs], axis=1)
+    of = np.sort(robot.sphere_parts[robot.sphere_pairs], axis=1)
     for number, parts in enumerate(robot.part_pairs.tolist()):
         if {robot.parts[p].body for p in parts} & set(robot.held_bodies):
             continue  # what an arm holds comes and goes
-        own = (sphere_pairs == sorted(parts)).all(axis=1)
-        found = couple_of(robot, parts, robot.self_pairs[own], vertices, radii)
+        own = (of == sorted(parts)).all(axis=1)
+        found = couple_of(robot, parts, robot.sphere_pairs[own], vertices, radii)
         if found is None:
             continue
         joints, couple = found
@@ -117,6 +117,6 @@ def contact_maps(robot: Robot) -> ContactMaps:
             low, high = lower.astype(np.float32), upper.astype(np.float32)
             one = ContactMap(number, joints, low, high, turns, cells)
             (beside if cells.beside else alone).append(one)
-    rest = np.setdiff1d(np.arange(len(sphere_pairs)), [*settled, *joined])
-    pairs_beside = robot.self_pairs[sorted(joined)]
-    return ContactMaps(tuple(alone), tuple(beside), pairs_beside, robot.self_pairs[rest])
+    rest = np.setdiff1d(np.arange(len(of)), [*settled, *joined])
+    pairs_beside = robot.sphere_pairs[sorted(joined)]
+    return ContactMaps(tuple(alone), tuple(beside), pairs_beside, robot.sphere_pairs[rest])

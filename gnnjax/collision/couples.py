@@ -75,14 +75,14 @@ def couple_of(
         return tuple(found)
 
     sides = []
-    swapped = np.where((robot.geom_parts[pairs[:, :1]] == parts[0]), pairs, pairs[:, ::-1])
+    swapped = np.where((robot.sphere_parts[pairs[:, :1]] == parts[0]), pairs, pairs[:, ::-1])
     local = []
     for side, (part, way) in enumerate(zip(parts, ways, strict=True)):
         spheres, at = np.unique(swapped[:, side], return_inverse=True)
         local.append(at.reshape(-1))
         hull = np.unique(vertices[part], axis=0).astype(float), float(radii[part])
-        around = robot.geom_centers[spheres], robot.geom_radii[spheres]
-        sides.append(Side(steps(way), *hull, *around, robot.geom_inner_radii[spheres]))
+        around = robot.sphere_centers[spheres], robot.sphere_radii[spheres]
+        sides.append(Side(steps(way), *hull, *around, robot.sphere_inner_radii[spheres]))
     at = np.array(joints)
     limits = robot.joint_lower[at].astype(float), robot.joint_upper[at].astype(float)
     reference = robot.mj_model.qpos0[at]

@@ -20,7 +20,8 @@ from gnnjax.arm.robot import Robot
 from gnnjax.arm.transforms import behind, composed, transform
 from gnnjax.collision import convex
 from gnnjax.collision.contact_maps import ContactMaps
-from gnnjax.collision.spheres import Obstacle, Passes, Placed
+from gnnjax.collision.placed import Obstacle, Placed
+from gnnjax.collision.spheres import Passes
 
 WORD = 31  # bits that tell of parts; above them there is room for `BLOCKED`
 
@@ -57,7 +58,11 @@ def part_tests(robot: Robot, passes: Passes, maps: ContactMaps) -> PartTests:
     # The world's frame comes last.
     bodies = jax.device_put(np.array([part.body for part in robot.parts], np.int32))
     couples = jax.device_put(robot.part_pairs.T.astype(np.int32))
-    radii, part_of, pair_of = robot.geom_radii.tolist(), robot.geom_parts.tolist(), _pairs(robot)
+    radii, part_of, pair_of = (
+        robot.sphere_radii.tolist(),
+        robot.sphere_parts.tolist(),
+        _pairs(robot),
+    )
 
     def touching(
         obstacle: Obstacle, q: Float[Array, "N D"], turns: jax.Array
@@ -76,10 +81,12 @@ def part_tests(robot: Robot, passes: Passes, maps: ContactMaps) -> PartTests:
     def touching_itself(q: Float[Array, "C D"], wanted: Bool[Array, " C"]) -> Bool[Array, "U C"]:
         """Whether spheres and maps leave it open that the two of `Robot.part_pairs[u]` touch, where
         it is wanted."""
-        joints, num, turns = joint_terms(robot, q), couples.shape[1], jnp.any(wanted)
-        if passes.table is not None:
-            return maps.not_clear(in_table(joints, num, wanted), q) & wanted
-        words = [jnp.zeros(len(q), jnp.uint32)] * -(-couples.shape[1] // WORD)
+        spheres_touch = in_code if passes.table is None else in_table
+        return maps.not_clear(spheres_touch(joint_terms(robot, q), wanted), q) & wanted
+
+    def in_code(joints: Joints, wanted: Bool[Array, " C"]) -> Bool[Array, "U C"]:
+        words = [jnp.zeros(len(wanted), jnp.uint32)] * -(-couples.shape[1] // WORD)
+        turns = jnp.any(wanted).astype(jnp.int32)
         for pairs in passes.self_pairs:
 
             def hits(joints: Joints, pairs=pairs) -> Iterator[tuple[int, jax.Array]]:
@@ -87,10 +94,10 @@ def part_tests(robot: Robot, passes: Passes, maps: ContactMaps) -> PartTests:
                     both = pair_of[part_of[i], part_of[j]]
                     yield both, ~(squared > (radii[i] + radii[j]) ** 2)
 
-            words = _with_bits(words, hits, joints, turns.astype(jnp.int32))
-        return maps.not_clear(bits_of(jnp.stack(words), num), q) & wanted
+            words = _with_bits(words, hits, joints, turns)
+        return bits_of(jnp.stack(words), couples.shape[1])
 
-    def in_table(joints: Joints, num: int, wanted: jax.Array) -> jax.Array:
+    def in_table(joints: Joints, wanted: Bool[Array, " C"]) -> Bool[Array, "U C"]:
         assert passes.table is not None
         pairs, squares = passes.table.pairs.tolist(), jnp.asarray(passes.table.squares)
         number_of = jnp.asarray([[pair_of[part_of[i], part_of[j]] for i, j in x] for x in pairs])
@@ -98,7 +105,7 @@ def part_tests(robot: Robot, passes: Passes, maps: ContactMaps) -> PartTests:
         def fold(found: jax.Array, row: jax.Array, squared: jax.Array) -> jax.Array:
             return found.at[number_of[row]].max(~(squared > squares[row][:, None]) & wanted)
 
-        nothing = jnp.zeros((num, len(wanted)), bool)
+        nothing = jnp.zeros((couples.shape[1], len(wanted)), bool)
         return passes.over_table(joints, nothing, fold, lambda _, gap: wanted & ~(gap > 0))
 
     def clear_of_obstacles(

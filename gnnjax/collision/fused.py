@@ -4,40 +4,28 @@ Geoms that no joint moves (an arm's base) are not tested against obstacles: no c
 the outcome. `obstacles_clear` tests them, once a scene.
 """
 
-import functools
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from gnnjax.arm.kinematics import Joints, Vector, dot, joint_terms, subtract
+from gnnjax.arm.kinematics import Vector, dot, joint_terms, subtract
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.contact_maps import contact_maps
-from gnnjax.collision.exact import PartTests, part_tests
-from gnnjax.collision.spheres import (
+from gnnjax.collision.exact import part_tests
+from gnnjax.collision.levels import (
     BLOCKED,
     ITSELF,
     OBSTACLE_BITS,
-    Obstacle,
-    PairTable,
-    Passes,
-    Placed,
-    moved_by_joint,
-    names,
-    place,
-    sphere_centers,
+    CollisionFunctions,
+    Levels,
+    are_free,
 )
-from gnnjax.devices import platform
+from gnnjax.collision.placed import Placed, place
+from gnnjax.collision.spheres import PairTable, Passes, moved_by_joint, placed_spheres
 from gnnjax.scene.geometry import squared_distance
 from gnnjax.scene.lookup import lookup, squared_distance_to
 from gnnjax.scene.scene import Scene, rotation_matrices
-
-# Configurations that spheres leave open, and are decided together: so many, and on an accelerator,
-# which takes as long for a thousand as for one, a share of all.
-_OPEN_AT_ONCE, _OPEN_SHARE = 32, 16
 
 
 def obstacles_clear(
@@ -57,7 +45,7 @@ def obstacles_clear(
     chosen = [g for g in range(len(moved)) if not (base_only and moved[g])]
     if not chosen:
         return jnp.ones(len(scene.mask) + (scene.cloud is not None), bool)
-    points = sphere_centers(robot, joint_terms(robot, q))
+    points = placed_spheres(robot, joint_terms(robot, q))
 
     where = [
         jnp.stack([jnp.asarray(points[g][a], q.dtype) for g in chosen])[:, None] for a in range(3)
@@ -70,39 +58,18 @@ def obstacles_clear(
     offset = seen_from_obstacle(subtract(where, list(scene.centers.T)))
     disc, ball = scene.radii.T
     squared = squared_distance(offset, list(scene.half_extents.T), disc)
-    reach = jnp.asarray(robot.geom_radii[chosen], q.dtype)[:, None] + ball
+    reach = jnp.asarray(robot.sphere_radii[chosen], q.dtype)[:, None] + ball
     apart = squared > reach**2
     if scene.allowed is not None:
         # Of the world, whose number is -1, nothing is meant.
         meant = jnp.pad(scene.allowed.pairs, ((0, 0), (0, 1)))
-        apart |= meant[:, robot.geom_bodies[chosen]].T
+        apart |= meant[:, robot.sphere_bodies[chosen]].T
     found = jnp.all(apart, axis=0) | ~scene.mask
     if scene.cloud is None:
         return found
     squared = squared_distance_to(lookup(scene.cloud), [x[:, 0] for x in where])
-    reach = jnp.asarray(robot.geom_radii[chosen], q.dtype) + scene.cloud.radius
+    reach = jnp.asarray(robot.sphere_radii[chosen], q.dtype) + scene.cloud.radius
     return jnp.append(found, jnp.all(squared > reach**2))
-
-
-class Levels(NamedTuple):
-    """A test in two steps, of which the second is of what the first leaves open.
-
-    `first(placed, owner [G], q [G T D]) -> [G T]` are words, see `spheres.py`: 0 is free,
-    `BLOCKED` and above is blocked, and others name what is left open to the second.
-    """
-
-    first: Callable[[Placed, jax.Array, jax.Array], jax.Array]
-    second: PartTests
-
-
-class CollisionFunctions(NamedTuple):
-    """What a backend is; see `Checker`."""
-
-    clearance: Callable[[Scene, jax.Array], jax.Array]
-    collision_free: Callable[[Scene, jax.Array], jax.Array]
-    place: Callable[[Scene], Any]
-    collision_free_each: Callable[[Any, jax.Array, jax.Array], jax.Array]
-    levels: Levels | None  # of the last; None for an arm whose spheres leave nothing open
 
 
 def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
@@ -113,81 +80,15 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         axis_aligned: promise that no obstacle is rotated; the kernel then skips the rotation.
     """
     # Of spheres around the parts, and of those inside of them; the same for arms of spheres.
-    is_open = bool((robot.geom_inner_radii < robot.geom_radii).any())
+    is_open = bool((robot.sphere_inner_radii < robot.sphere_radii).any())
     # Not of those whose centre is outside of their part.
-    radii = robot.geom_radii.tolist()
-    inner = [x if x > 0 else None for x in robot.geom_inner_radii.tolist()]
+    radii = robot.sphere_radii.tolist()
+    inner = [x if x > 0 else None for x in robot.sphere_inner_radii.tolist()]
     passes = Passes(robot)
     # Spheres tell nothing of parts that never touch, or of which a map says all.
     maps = contact_maps(robot) if is_open else None
     unmapped = passes if maps is None else Passes(robot, maps.pairs)
     beside = None if maps is None else Passes(robot, maps.pairs_beside)
-
-    def over_obstacles(
-        joints: Joints,
-        placed: Placed,
-        owner: jax.Array,
-        start: jax.Array,
-        with_obstacle: Callable[[jax.Array, jax.Array, Iterator], jax.Array],
-    ) -> jax.Array:
-        """Folds what the passes over obstacles say of configurations.
-
-        Args:
-            joints: of configurations `[G T]`.
-            placed: obstacles.
-            owner: `[G]` whose obstacles count.
-            start: `[G T]` what to begin with.
-            with_obstacle: `(value, number of the obstacle, distances) -> value`.
-        """
-        own = Obstacle(*jax.tree.map(lambda x: x[..., owner, None], tuple(placed)[:-1]))
-
-        # One obstacle a pass. With several, the compiler finds out what they share and the kernel
-        # is a sixth faster, but it takes three times as long to compile. One array comes out, or
-        # the compiler would compute all of it for each.
-        def one_pass(i, value, spheres):
-            # The barrier keeps the compiler from moving the kinematics out of the loop, which
-            # would send every sphere's coordinates through memory: three times slower.
-            fresh, value = jax.lax.optimization_barrier((joints, value))
-            obstacle = jax.tree.map(lambda x: x[i], own)
-            return with_obstacle(value, i, passes.to_obstacle(fresh, obstacle, spheres))
-
-        most, value = jnp.max(placed.num[owner], initial=0), start
-        for spheres in passes.groups:
-            some = functools.partial(one_pass, spheres=spheres)
-            value = jax.lax.fori_loop(0, most, some, value)
-        return value
-
-    def over_itself(
-        joints: Joints,
-        passes: Passes,
-        value: jax.Array,
-        with_itself: Callable[[jax.Array, Iterator], jax.Array],
-        with_row: Callable[[jax.Array, jax.Array, jax.Array], jax.Array],
-        worth_going_on: Callable[[jax.Array, jax.Array], jax.Array],
-    ) -> jax.Array:
-        """Folds what passes over pairs of the arm's own spheres say of configurations.
-
-        Args:
-            joints: of configurations `[G T]`.
-            passes: over the pairs.
-            value: `[G T]` what to begin with.
-            with_itself: `(value, distances) -> value`.
-            with_row: the same of a row of `Passes.table`, see `Passes.over_table`.
-            worth_going_on: of what values pairs are to be looked at, which are apart by a gap, m,
-                at least: `(value, gap) -> [G T]`.
-        """
-        if passes.table is not None:
-            return passes.over_table(joints, value, with_row, worth_going_on)
-        for pairs in passes.self_pairs:
-
-            def self_turn(_, value, pairs=pairs):
-                fresh, value = jax.lax.optimization_barrier((joints, value))
-                return with_itself(value, passes.to_itself(fresh, pairs))
-
-            # A loop of one turn or none, for the same reason as above; none where it cannot matter.
-            turns = jnp.any(worth_going_on(value, jnp.float32(-jnp.inf))).astype(jnp.int32)
-            value = jax.lax.fori_loop(0, turns, self_turn, value)
-        return value
 
     def first(
         placed: Placed, owner: Int[Array, " G"], q: Float[Array, "G T D"]
@@ -238,10 +139,10 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
             def worth_going_on(word, gap):
                 return (word < BLOCKED) & ~(gap > 0)
 
-            return over_itself(joints, passes, word, with_itself, with_row, worth_going_on)
+            return passes.over_itself(joints, word, with_itself, with_row, worth_going_on)
 
         joints, nothing = joint_terms(robot, q), jnp.zeros(q.shape[:-1], jnp.uint32)
-        word = over_obstacles(joints, placed, owner, nothing, with_obstacle)
+        word = passes.over_obstacles(joints, placed, owner, nothing, with_obstacle)
         if maps is None:
             return of_itself(word, unmapped)
         word |= maps.words(maps.alone, q)
@@ -254,55 +155,17 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         return word | told & BLOCKED | left
 
     # Nobody asks it of an arm whose spheres leave nothing open.
-    second = None
+    levels = None
     if maps is not None:
         asked = np.concatenate([maps.pairs, maps.pairs_beside])
-        second = part_tests(robot, Passes(robot, asked), maps)
+        levels = Levels(first, part_tests(robot, Passes(robot, asked), maps))
 
     def is_free(
         placed: Placed, owner: Int[Array, " G"], q: Float[Array, "G T D"]
     ) -> Bool[Array, "G T"]:
-        words = first(placed, owner, q)
-        if second is None:
-            return words == 0
-        each, flat, configurations = q.shape[1], words.reshape(-1), q.reshape(-1, q.shape[-1])
-        num = len(flat)
-        many = _OPEN_AT_ONCE if platform() == "cpu" else max(_OPEN_AT_ONCE, num // _OPEN_SHARE)
-
-        # All that is open, once: looking for the next in each turn took longer than all the rest.
-        is_open = (flat > 0) & (flat < BLOCKED)
-        (queue,) = jnp.nonzero(is_open, size=num, fill_value=num)
-        queue = jnp.pad(queue, (0, many), constant_values=num)
-
-        def decide_some(state, second=second):
-            begin, free = state
-            rows = jax.lax.dynamic_slice(queue, (begin,), (many,))
-            at = jnp.minimum(rows, num - 1)
-            asked, some = jnp.where(rows < num, flat[at], 0), configurations[at]
-            clear = second.clear_of_itself(some, asked & ITSELF > 0)
-            clear = clear_of_named(placed, owner[at // each], asked, some, clear)
-            return begin + many, free.at[rows].set(clear, mode="drop")
-
-        def clear_of_named(placed, owner, words, q, clear, second=second):
-            """Which are clear of the obstacles that words name, of those that are `clear`."""
-            number = jnp.arange(len(placed.origins))[:, None]
-            named = names(words, number) & clear
-
-            def some_pairs(state):
-                left, clear = state
-                (found,) = jnp.nonzero(left, size=many, fill_value=len(left))
-                of, at = jnp.divmod(jnp.minimum(found, len(left) - 1), len(q))
-                apart = second.clear_of_obstacles(placed, owner[at], of, q[at], found < len(left))
-                clear = clear.at[jnp.where(apart, len(q), at)].set(False, mode="drop")
-                left = left.at[found].set(False, mode="drop")
-                return left & jnp.tile(clear, len(left) // len(q)), clear
-
-            state = named.reshape(-1), clear
-            return jax.lax.while_loop(lambda state: jnp.any(state[0]), some_pairs, state)[1]
-
-        num_open, state = is_open.sum(), (jnp.int32(0), flat == 0)
-        free = jax.lax.while_loop(lambda state: state[0] < num_open, decide_some, state)[1]
-        return free.reshape(words.shape)
+        if levels is None:
+            return first(placed, owner, q) == 0
+        return are_free(levels, placed, owner, q)
 
     def placed_alone(scene: Scene) -> tuple[Placed, jax.Array]:
         return place(jax.tree.map(lambda x: x[None], scene), axis_aligned), jnp.zeros(1, jnp.int32)
@@ -328,8 +191,8 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         outer_squares = None if passes.table is None else passes.table.squares
         flat = q.reshape(1, -1, q.shape[-1])
         joints, start = joint_terms(robot, flat), jnp.full(flat.shape[:-1], jnp.inf, q.dtype)
-        found = over_obstacles(joints, *placed_alone(scene), start, with_obstacle)
-        found = over_itself(joints, passes, found, with_itself, with_row, lambda x, gap: ~(gap > x))
+        found = passes.over_obstacles(joints, *placed_alone(scene), start, with_obstacle)
+        found = passes.over_itself(joints, found, with_itself, with_row, lambda x, gap: ~(gap > x))
         return found.reshape(q.shape[:-1])
 
     def collision_free(scene: Scene, nodes: Float[Array, "B D"]) -> Bool[Array, " B"]:
@@ -341,13 +204,13 @@ def fused_functions(robot: Robot, axis_aligned: bool) -> CollisionFunctions:
         jax.jit(collision_free),
         lambda scenes: place(scenes, axis_aligned),
         jax.jit(is_free),
-        Levels(first, second) if second is not None else None,
+        levels,
     )
 
 
 def _squares(robot: Robot, table: PairTable) -> tuple[np.ndarray, np.ndarray]:
     """Of pairs of spheres around parts and of those inside of them, the squares of the distances at
     which they touch, m^2; -1, which nothing is closer than, where there is none inside."""
-    inside = robot.geom_inner_radii[table.pairs]
+    inside = robot.sphere_inner_radii[table.pairs]
     inner = np.where((inside > 0).all(axis=-1), inside.sum(axis=-1) ** 2, -1)
     return table.squares, inner.astype(np.float32)

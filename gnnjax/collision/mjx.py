@@ -13,7 +13,7 @@ function of their poses and sizes, which `in_components` maps over all pairs of 
 configurations. One world with all geoms under `jax.vmap`, the way MJX is mostly used, gives the
 same verdicts at 7,000 configurations a second instead of 300,000 (Kuka, nine boxes, two cores).
 Which pairs are tested is up to this module, not to the bits of the MJCF: every sphere that a joint
-moves with every obstacle that exists, and `Robot.self_pairs`.
+moves with every obstacle that exists, and `Robot.sphere_pairs`.
 
 Poses are filled in from the package's own kinematics, and so are in the frame of scenes.
 `mjx.kinematics` finds the same poses (a test compares them), but under `vmap` XLA computes its
@@ -36,8 +36,9 @@ from jaxtyping import Array, Bool, Float, Int
 from gnnjax.arm.kinematics import WORLD, body_frames, joint_terms
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.components import in_components
-from gnnjax.collision.fused import CollisionFunctions
-from gnnjax.collision.spheres import FAR, moved_by_joint
+from gnnjax.collision.levels import CollisionFunctions
+from gnnjax.collision.placed import FAR
+from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.scene.allowed import refuse_allowed
 from gnnjax.scene.scene import Scene, last_obstacle, rotation_matrices
 from gnnjax.scene.shapes import for_every_kind
@@ -110,8 +111,8 @@ def mjx_functions(robot: Robot) -> CollisionFunctions:
 
             if len(moving):
                 _, smallest = jax.lax.while_loop(going_on, next_one, (jnp.int32(0), smallest))
-        if len(robot.self_pairs):
-            first, second = robot.self_pairs.T
+        if len(robot.sphere_pairs):
+            first, second = robot.sphere_pairs.T
             smallest = jnp.minimum(smallest, of_two_spheres(place(first), place(second)))
         return smallest
 
@@ -185,14 +186,14 @@ def _placer(robot: Robot, q: Float[Array, "B D"]) -> Callable[[np.ndarray], _Geo
     )
 
     def place(rows: np.ndarray) -> _Geoms:
-        bodies = robot.geom_bodies[rows]
-        x, y, z = jnp.asarray(robot.geom_centers[rows].T[..., None], q.dtype)
+        bodies = robot.sphere_bodies[rows]
+        x, y, z = jnp.asarray(robot.sphere_centers[rows].T[..., None], q.dtype)
         position = [
             p[bodies] + a[bodies] * x + b[bodies] * y + c[bodies] * z
             for p, (a, b, c) in zip(positions, rotations, strict=True)
         ]
         size = np.zeros((3, len(rows), 1))
-        size[0, :, 0] = robot.geom_radii[rows]
+        size[0, :, 0] = robot.sphere_radii[rows]
         return _Geoms(
             _components(jnp.array(position), 1),
             _components(jnp.eye(3), 2),  # which looks the same from all sides

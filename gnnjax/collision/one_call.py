@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from gnnjax.collision.fused import Levels
-from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, names
+from gnnjax.collision.levels import BLOCKED, CLOUD, ITSELF, Levels, names
 
 _AT_ONCE = 64  # configurations that the first level sees together
 _OPEN_AT_ONCE = 32  # pairs of a configuration and an obstacle that the second does

@@ -19,8 +19,8 @@ from gnnjax.collision.checker import Checker
 from gnnjax.collision.cloud import without_leaves
 from gnnjax.collision.edges import bisection_order, most_intervals
 from gnnjax.collision.exact import PartTests
+from gnnjax.collision.levels import BLOCKED, CLOUD, ITSELF, names
 from gnnjax.collision.one_call import decide
-from gnnjax.collision.spheres import BLOCKED, CLOUD, ITSELF, names
 from gnnjax.kept import Kept, keep
 from gnnjax.scene.scene import Scene
 

@@ -5,13 +5,14 @@ Configurations come in G groups of T that share a scene. What a pass needs of an
 out of a table once a group, and all configurations of the group are computed side by side with it.
 """
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Float, Int
 
 from gnnjax.arm.kinematics import (
     WORLD,
@@ -26,8 +27,8 @@ from gnnjax.arm.kinematics import (
     transform,
 )
 from gnnjax.arm.robot import Robot
+from gnnjax.collision.placed import Obstacle, Placed
 from gnnjax.scene.geometry import squared_distance
-from gnnjax.scene.scene import Scene, last_obstacle, rotation_matrices
 
 # Pairs of the arm's own spheres in one pass. The compiler turns a pass into a single loop over the
 # batch. It splits what exceeds 2,000 operations into functions, and where it fails to join them
@@ -37,63 +38,6 @@ _SELF_PAIRS_A_PASS, _SPHERES_A_PASS = 120, 64
 _MOST_IN_CODE = 1200
 _PAIRS_A_ROW = 64  # of a table
 _ROUNDED = 1e-4  # m; by more than that, rounding moves no centre
-FAR = 1e6  # m; where obstacles are that do not exist
-
-# What spheres say of a configuration is a word of 32 bits: 0 where they prove it free. Bit
-# m % OBSTACLE_BITS is set where they leave open whether obstacle m is touched, CLOUD where they
-# leave open whether points are, ITSELF where they leave open whether the arm touches itself,
-# BLOCKED where they prove a contact.
-OBSTACLE_BITS = 29
-CLOUD, ITSELF, BLOCKED = (np.uint32(1 << bit) for bit in (29, 30, 31))
-
-
-_Numbers = TypeVar("_Numbers", jax.Array, np.ndarray)
-
-
-def names(words: _Numbers, number: _Numbers) -> _Numbers:
-    """Whether words leave open that obstacles of such numbers are touched; both are broadcast."""
-    return words >> (number % OBSTACLE_BITS).astype(np.uint32) & 1 > 0
-
-
-class Placed(NamedTuple):
-    """What passes need of M obstacles of each of P scenes."""
-
-    origins: Float[Array, "M 3 P"]  # of the base, seen from the obstacle
-    rotations: Float[Array, "M 3 3 P"] | None  # base to obstacle; None: none is rotated
-    half_extents: Float[Array, "M 3 P"]
-    radii: Float[Array, "M 2 P"]  # of disc and ball
-    allowed: Bool[Array, "M L P"] | None  # bodies that may touch them; None: no scene says so
-    num: Int[Array, " P"]  # none after so many exists
-
-
-class Obstacle(NamedTuple):
-    """One of the M of each of some configurations; as `Placed`."""
-
-    origin: Float[Array, "3 ..."]
-    rotation: Float[Array, "3 3 ..."] | None
-    half_extents: Float[Array, "3 ..."]
-    radii: Float[Array, "2 ..."]
-    allowed: Bool[Array, "L ..."] | None
-
-
-def place(scenes: Scene, axis_aligned: bool) -> Placed:
-    """Of scenes `[P]`.
-
-    Args:
-        scenes: obstacles.
-        axis_aligned: promise that none is rotated.
-    """
-    scenes = jax.tree.map(jnp.asarray, scenes)
-    exists = scenes.mask
-    # Those that do not exist are far away.
-    origins, rotations = -jnp.where(exists[..., None], scenes.centers, FAR), None
-    if not axis_aligned:
-        rotations = rotation_matrices(scenes.quats).swapaxes(-1, -2)
-        origins = jnp.sum(rotations * origins[..., None, :], axis=-1)
-    allowed = None if scenes.allowed is None else scenes.allowed.pairs
-    num = jax.vmap(last_obstacle)(exists)
-    parts = Placed(origins, rotations, scenes.half_extents, scenes.radii, allowed, num)
-    return jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), parts)
 
 
 def moved_by_joint(robot: Robot) -> list[bool]:
@@ -107,7 +51,7 @@ def _links(robot: Robot) -> np.ndarray:
     moves: list[int] = []
     for number, body in enumerate(robot.bodies):
         moves.append(number if body.joints else -1 if body.parent < 0 else moves[body.parent])
-    return np.array([-1 if b < 0 else moves[b] for b in robot.geom_bodies.tolist()], int)
+    return np.array([-1 if b < 0 else moves[b] for b in robot.sphere_bodies.tolist()], int)
 
 
 def in_passes(rows: np.ndarray, most: int) -> list[np.ndarray]:
@@ -116,11 +60,11 @@ def in_passes(rows: np.ndarray, most: int) -> list[np.ndarray]:
     return np.array_split(rows, num) if num else []
 
 
-def sphere_centers(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Vector]:
+def placed_spheres(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Vector]:
     """Centre of every sphere, m; see `body_frames`."""
     frames = body_frames(robot, joints, base)
     points = []
-    for body, center in zip(robot.geom_bodies, robot.geom_centers.tolist(), strict=True):
+    for body, center in zip(robot.sphere_bodies, robot.sphere_centers.tolist(), strict=True):
         position, rotation = frames[body] if body >= 0 else base
         points.append(transform(position, rotation, center))
     return points
@@ -146,12 +90,12 @@ def pair_table(robot: Robot, wanted: np.ndarray) -> PairTable:
     link = _links(robot)
     with jax.ensure_compile_time_eval():
         joints = joint_terms(robot, jnp.asarray(robot.home, jnp.float32))
-        centers = np.array(sphere_centers(robot, joints), float)
+        centers = np.array(placed_spheres(robot, joints), float)
 
     def around(spheres: np.ndarray) -> tuple[int, float]:
         """One of some spheres of a link, and the radius around its centre that holds them all."""
         apart = np.linalg.norm(centers[spheres, None] - centers[spheres], axis=-1)
-        reach = (apart + robot.geom_radii[spheres]).max(axis=1)
+        reach = (apart + robot.sphere_radii[spheres]).max(axis=1)
         return int(spheres[reach.argmin()]), reach.min()
 
     swap = (link[wanted[:, 0]] > link[wanted[:, 1]])[:, None]
@@ -165,7 +109,7 @@ def pair_table(robot: Robot, wanted: np.ndarray) -> PairTable:
             full = np.pad(row, ((0, _PAIRS_A_ROW - len(row)), (0, 0)), "edge")
             rows.append((full, (first, second), reach + other + _ROUNDED))
     pairs, near, reach = (np.array(x) for x in zip(*rows, strict=True))
-    squares = (robot.geom_radii[pairs].sum(axis=-1) ** 2).astype(np.float32)
+    squares = (robot.sphere_radii[pairs].sum(axis=-1) ** 2).astype(np.float32)
     pairs, near = pairs.astype(np.int32), near.astype(np.int32)
     return PairTable(pairs, squares, near, reach.astype(np.float32))
 
@@ -182,12 +126,12 @@ class Passes:
         self_pairs: `[S 2]` of its own spheres, which are to be looked at; None: all that it has.
         """
         self._robot = robot
-        own = robot.self_pairs if self_pairs is None else self_pairs
+        own = robot.sphere_pairs if self_pairs is None else self_pairs
         # The spheres that joints move.
         self.moving = np.flatnonzero(moved_by_joint(robot)).tolist()
         # Those that are looked at together.
         self.groups = [x.tolist() for x in in_passes(np.array(self.moving), _SPHERES_A_PASS)]
-        self._bodies = robot.geom_bodies.tolist()
+        self._bodies = robot.sphere_bodies.tolist()
         # Of each pass over pairs of the arm's own spheres, the pairs.
         self.self_pairs = in_passes(own, _SELF_PAIRS_A_PASS)
         # All pairs once more, for what would take too long to compile as passes.
@@ -202,7 +146,7 @@ class Passes:
         origin, rotation, half_extents, (disc, ball), allowed = obstacle
         # Kinematics in the frame of the obstacle are less work than moving every sphere there.
         turned = WORLD[1] if rotation is None else [list(row) for row in rotation]
-        points = sphere_centers(self._robot, joints, (list(origin), turned))
+        points = placed_spheres(self._robot, joints, (list(origin), turned))
         for g in self.moving if spheres is None else spheres:
             squared = squared_distance(points[g], list(half_extents), disc)
             if allowed is not None:
@@ -211,10 +155,75 @@ class Passes:
 
     def to_itself(self, joints: Joints, pairs: np.ndarray) -> Iterator[tuple[int, int, Scalar]]:
         """Of pairs of spheres: their numbers, and their centres' squared distance."""
-        points = sphere_centers(self._robot, joints)
+        points = placed_spheres(self._robot, joints)
         for i, j in pairs.tolist():
             offset = subtract(points[i], points[j])
             yield i, j, dot(offset, offset)
+
+    def over_obstacles(
+        self,
+        joints: Joints,
+        placed: Placed,
+        owner: jax.Array,
+        value: jax.Array,
+        with_obstacle: Callable[[jax.Array, jax.Array, Iterator], jax.Array],
+    ) -> jax.Array:
+        """Folds what obstacles say of configurations.
+
+        Args:
+            joints: of configurations `[G T]`.
+            placed: obstacles.
+            owner: `[G]` whose obstacles count.
+            value: `[G T]` what to begin with.
+            with_obstacle: `(value, number of the obstacle, distances) -> value`; see `to_obstacle`.
+        """
+        own = Obstacle(*jax.tree.map(lambda x: x[..., owner, None], tuple(placed)[:-1]))
+
+        # One obstacle a pass. With several, the compiler finds out what they share and the kernel
+        # is a sixth faster, but it takes three times as long to compile. One array comes out, or
+        # the compiler would compute all of it for each.
+        def one_pass(i: jax.Array, value: jax.Array, spheres: list[int]) -> jax.Array:
+            # The barrier keeps the compiler from moving the kinematics out of the loop, which
+            # would send every sphere's coordinates through memory: three times slower.
+            fresh, value = jax.lax.optimization_barrier((joints, value))
+            obstacle = jax.tree.map(lambda x: x[i], own)
+            return with_obstacle(value, i, self.to_obstacle(fresh, obstacle, spheres))
+
+        most = jnp.max(placed.num[owner], initial=0)
+        for spheres in self.groups:
+            some = functools.partial(one_pass, spheres=spheres)
+            value = jax.lax.fori_loop(0, most, some, value)
+        return value
+
+    def over_itself(
+        self,
+        joints: Joints,
+        value: jax.Array,
+        with_itself: Callable[[jax.Array, Iterator], jax.Array],
+        with_row: Callable[[jax.Array, jax.Array, jax.Array], jax.Array],
+        is_wanted: Callable[[jax.Array, jax.Array], jax.Array],
+    ) -> jax.Array:
+        """Folds what pairs of the arm's own spheres say of configurations.
+
+        Args:
+            joints: of configurations `[G T]`.
+            value: `[G T]` what to begin with.
+            with_itself: `(value, distances) -> value`; see `to_itself`.
+            with_row: the same of a row of `table`, and
+            is_wanted: which rows are to be looked at; see `over_table`.
+        """
+        if self.table is not None:
+            return self.over_table(joints, value, with_row, is_wanted)
+        for pairs in self.self_pairs:
+
+            def self_turn(_, value: jax.Array, pairs: np.ndarray = pairs) -> jax.Array:
+                fresh, value = jax.lax.optimization_barrier((joints, value))
+                return with_itself(value, self.to_itself(fresh, pairs))
+
+            # A loop of one turn or none, for the same reason as above; none where it cannot matter.
+            turns = jnp.any(is_wanted(value, jnp.float32(-jnp.inf))).astype(jnp.int32)
+            value = jax.lax.fori_loop(0, turns, self_turn, value)
+        return value
 
     def over_table(
         self,
@@ -235,7 +244,7 @@ class Passes:
         assert self.table is not None
         pairs, _, near, reach = map(jnp.asarray, self.table)
         shape = jnp.shape(joints.cos)[1:]
-        points = sphere_centers(self._robot, joints)
+        points = placed_spheres(self._robot, joints)
         centers = jnp.stack([jnp.stack([jnp.broadcast_to(x, shape) for x in p]) for p in points])
 
         def squared(i: jax.Array, j: jax.Array) -> jax.Array:

@@ -25,7 +25,8 @@ from gnnjax.arm.robot import Robot
 from gnnjax.collision.bounds import spheres_of
 from gnnjax.collision.edges import configurations_at
 from gnnjax.collision.exact import PartTests
-from gnnjax.collision.spheres import Obstacle, Passes, Placed, in_passes
+from gnnjax.collision.placed import Obstacle, Placed
+from gnnjax.collision.spheres import Passes, in_passes
 
 _ROWS = 512  # looked at together
 # As `_SELF_PAIRS_A_PASS` in `spheres.py`.
@@ -70,9 +71,9 @@ class Stretches:
         """
         self._robot, self._second, self._passes = robot, second, Passes(robot)
         self._most_intervals = most_intervals
-        self._bodies = robot.geom_bodies.tolist()
-        self._radii = robot.geom_radii.tolist()
-        inner = robot.geom_inner_radii if second is not None else robot.geom_radii
+        self._bodies = robot.sphere_bodies.tolist()
+        self._radii = robot.sphere_radii.tolist()
+        inner = robot.sphere_inner_radii if second is not None else robot.sphere_radii
         self._inner = [x if x > 0 else None for x in inner.tolist()]
         moving = self._passes.moving
         self._groups = [x.tolist() for x in in_passes(np.array(moving), _SPHERES_A_PASS)]
@@ -80,12 +81,12 @@ class Stretches:
         reach = np.maximum.reduceat(body.reach, body.first, axis=0)
         links = body.links.tolist()
         self._reach = dict(zip(links, reach, strict=True))
-        self._moving = {key: self._reach[key] for key in robot.geom_bodies[moving].tolist()}
+        self._moving = {key: self._reach[key] for key in robot.sphere_bodies[moving].tolist()}
         upstream = dict(zip(links, body.upstream, strict=True))
         # A joint that carries both links leaves their distance alone.
         self._pair_reach = {
             (i, j): np.where(upstream[i] & upstream[j], 0.0, self._reach[i] + self._reach[j])
-            for i, j in robot.geom_bodies[robot.self_pairs].tolist()
+            for i, j in robot.sphere_bodies[robot.sphere_pairs].tolist()
         }
 
     def free(self, placed: Placed, edges: Edges, valid: Bool[Array, " E"]) -> Bool[Array, " E"]:

@@ -45,8 +45,8 @@ class _Spheres(NamedTuple):
 
 def _spheres(robot: Robot) -> _Spheres:
     moving = np.flatnonzero(moved_by_joint(robot))
-    bodies = tuple(robot.geom_bodies[moving].tolist())
-    return _Spheres(bodies, robot.geom_centers[moving], robot.geom_radii[moving])
+    bodies = tuple(robot.sphere_bodies[moving].tolist())
+    return _Spheres(bodies, robot.sphere_centers[moving], robot.sphere_radii[moving])
 
 
 def reach_grid(robot: Robot, cells: int = CELLS) -> Grid:

@@ -37,9 +37,9 @@ def choose_points(robot: Robot, num: int) -> tuple[int, ...]:
     data = mujoco.MjData(robot.mj_model)
     data.qpos[:] = robot.home
     mujoco.mj_kinematics(robot.mj_model, data)
-    bodies = robot.geom_bodies[moving] + 1
+    bodies = robot.sphere_bodies[moving] + 1
     turns = data.xmat[bodies].reshape(-1, 3, 3)
-    centers = data.xpos[bodies] + np.einsum("gij,gj->gi", turns, robot.geom_centers[moving])
+    centers = data.xpos[bodies] + np.einsum("gij,gj->gi", turns, robot.sphere_centers[moving])
     chosen = [len(moving) - 1]
     while len(chosen) < min(num, len(moving)):
         gaps = np.linalg.norm(centers[:, None] - centers[chosen], axis=-1).min(axis=1)
@@ -53,7 +53,7 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
     obstacle, negative inside: minus the way out of it.
     """
     points = choose_points(robot, num)
-    centers = [robot.geom_centers[g].tolist() for g in points]
+    centers = [robot.sphere_centers[g].tolist() for g in points]
 
     def distances(scene: Scene, q: Float[Array, "B D"]) -> Float[Array, "B P"]:
         joints = joint_terms(robot, q)
@@ -68,7 +68,7 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
             at = order[i]
             nearer_now = []
             for g, center, near in zip(points, centers, nearest, strict=True):
-                position, rotation = frames[robot.geom_bodies[g]]
+                position, rotation = frames[robot.sphere_bodies[g]]
                 offset = subtract(transform(position, rotation, center), list(scene.centers[at]))
                 seen = [dot(list(row), offset) for row in turned[at]]
                 away = signed_distance(seen, list(scene.half_extents[at]), *scene.radii[at])
@@ -80,7 +80,7 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
         if scene.cloud is not None:
             frames = body_frames(robot, joints)
             for i, (g, center) in enumerate(zip(points, centers, strict=True)):
-                position, rotation = frames[robot.geom_bodies[g]]
+                position, rotation = frames[robot.sphere_bodies[g]]
                 away = distances_to(scene.cloud, transform(position, rotation, center))
                 found[i] = jnp.where(away < found[i], away, found[i])
         return jnp.stack(found, axis=-1)
@@ -103,10 +103,10 @@ def arm_view(robot: Robot, num: int) -> Callable[[Scene, jax.Array], ArmView]:
     touch each other.
     """
     points = choose_points(robot, num)
-    radii = robot.geom_radii[list(points)]
+    radii = robot.sphere_radii[list(points)]
     distances = point_distances(robot, num)
-    bodies = robot.geom_bodies
-    can_touch = {frozenset(pair) for pair in bodies[robot.self_pairs].tolist()}
+    bodies = robot.sphere_bodies
+    can_touch = {frozenset(pair) for pair in bodies[robot.sphere_pairs].tolist()}
     pairs = [
         (i, j)
         for i, first in enumerate(points)
@@ -119,7 +119,7 @@ def arm_view(robot: Robot, num: int) -> Callable[[Scene, jax.Array], ArmView]:
         where = []  # P points of 3 arrays
         for g in points:
             position, rotation = frames[bodies[g]]
-            where.append(transform(position, rotation, robot.geom_centers[g].tolist()))
+            where.append(transform(position, rotation, robot.sphere_centers[g].tolist()))
         to_itself = jnp.full(q.shape[:1], _SELF_FAR, q.dtype)
         for i, j in pairs:
             apart = subtract(where[i], where[j])

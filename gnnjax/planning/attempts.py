@@ -12,17 +12,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from gnnjax.arm.robot import Robot
-from gnnjax.collision.sequences import SequenceTester
 from gnnjax.guide.guide import RISK_WEIGHT
 from gnnjax.planning.batch import Batch
 from gnnjax.planning.guided import JUDGED, Guided
 from gnnjax.planning.options import PlannerOptions
-from gnnjax.planning.pool import Pool, in_chunks, size_for, take
-from gnnjax.planning.progress import Limits
+from gnnjax.planning.pool import Pool, in_chunks, size_for, sizes_up_to, take
 from gnnjax.planning.shorten_by_guide import Shortener
 from gnnjax.planning.steps import check_routes
-from gnnjax.problems.problem import Problem
 from gnnjax.scene.scene import without_points
 from gnnjax.search.knowledge import Knowledge
 from gnnjax.search.rounds import Route
@@ -42,41 +38,40 @@ class SetAside:
     known: Knowledge
 
 
-class Attempts(Batch):
-    """P problems, and attempts on roadmaps for them."""
+class Attempts:
+    """Attempts on roadmaps for the problems of a batch."""
 
     def __init__(
-        self,
-        robot: Robot,
-        strategy: Guided,
-        options: PlannerOptions,
-        limits: Limits,
-        tester: SequenceTester,
-        problems: Problem,
-        seed: int,
-        pool: int,
-        shares: int = 1,
+        self, batch: Batch, strategy: Guided, options: PlannerOptions, seed: int, pool: int
     ):
         """Args:
-        robot: the arm.
+        batch: of P problems, which `check_query` accepts; keeps books on them.
         strategy: makes roadmaps and shortcuts, and prices them.
         options: how much is tried.
-        limits: of each problem.
-        tester: of the arm.
-        problems: `[P, ...]`, which `check_query` accepts.
         seed: of the roadmaps.
         pool: most problems on their way at once.
-        shares: runs that take place side by side.
         """
-        super().__init__(robot, problems, limits, tester, shares)
-        self.strategy, self.options = strategy, options
+        self.batch, self.strategy, self.options = batch, strategy, options
         self.seed, self.pool = seed, pool
         self.chunk = _CHUNKS[pool > 1]
-        self.shortener = Shortener(self, strategy, self.chunk)
-        num = len(self.paths)
-        self.wanted = np.ones(num, bool)  # whether a path is still looked for
+        self.shortener = Shortener(batch, strategy, self.chunk)
+        num = len(batch.paths)
         self.straight = np.zeros(num, np.int8)  # status of the straight line
         self.set_aside: list[list[SetAside]] = [[] for _ in range(num)]
+
+    def warm_up(self) -> None:
+        """Compiles all that attempts need, and makes none."""
+        for number in range(1 if self.options.sampled else min(2, self.options.max_roadmaps)):
+            most = min(len(self.batch.paths), self.pool, self.strategy.most_slots(number))
+            for size in sizes_up_to(most):
+                pool = Pool(size, self.batch.clock)
+                self.enter(pool, np.zeros(1, int), np.arange(1), np.arange(1), number, None)
+                route, host = pool.route()
+                if not self.strategy.is_judged:
+                    self.judge(pool, np.zeros(1, int), route, host)
+                pool.learn(route, *np.zeros((2, *host.path.shape), np.int8))
+                if self.strategy.shorten:
+                    self.shortener.shortcuts(pool, np.zeros(1, int), host)
 
     def attempt(
         self,
@@ -96,13 +91,13 @@ class Attempts(Batch):
         if not len(ids):
             return
         most = self.strategy.most_slots(int(numbers[0]))
-        pool = Pool(size_for(min(len(ids), self.pool, most)), self.clock)
+        pool = Pool(size_for(min(len(ids), self.pool, most)), self.batch.clock)
         slots = _Slots(*np.zeros((3, pool.size), int))
         waiting = 0
         while waiting < len(ids) or (pool.ids >= 0).any():
             free = np.flatnonzero(pool.ids < 0)
             if waiting < len(ids) and len(free) >= max(1, pool.size // 8):
-                begin = self.clock.now()
+                begin = self.batch.clock.now()
                 entering = np.arange(waiting, min(waiting + len(free), len(ids)))
                 rows = free[: len(entering)]
                 for number in np.unique(numbers[entering]):
@@ -111,7 +106,7 @@ class Attempts(Batch):
                 slots.number[rows], slots.rounds[rows] = numbers[entering], 0
                 slots.first_look[rows] = known is None and self.strategy.shorten
                 waiting += len(entering)
-                self.spend(ids[entering], begin, planning=False)
+                self.batch.spend(ids[entering], begin, planning=False)
             elif waiting == len(ids) and pool.is_wide():
                 left = pool.shrink()
                 slots = _Slots(*(x[left] for x in slots))
@@ -136,21 +131,22 @@ class Attempts(Batch):
             number: of their roadmaps.
             known: of roadmaps that were set aside, in the order of `ids`.
         """
-        seen = self.problems._replace(scene=without_points(self.problems.scene))
+        seen = self.batch.problems._replace(scene=without_points(self.batch.problems.scene))
         for part, padded in in_chunks(np.arange(len(entering)), self.chunk):
             chosen, padded = entering[part], entering[padded]
             problems = jax.tree.map(lambda x, at=ids[padded]: x[at], seen)
             entered = self.strategy.enter(
-                self.clock,
+                self.batch.clock,
                 problems,
                 self.straight[ids[padded]],
                 len(chosen),
                 self.seed,
                 number,
-                self.tester.checker,
+                self.batch.tester.checker,
             )
             if known is None:
-                self.sampling_checks[ids[chosen]] += np.asarray(entered.num_checks)[: len(chosen)]
+                num_checks = np.asarray(entered.num_checks)[: len(chosen)]
+                self.batch.sampling_checks[ids[chosen]] += num_checks
             priced = entered.priced
             if known is not None:
                 earlier = [known[i] for i in padded]
@@ -159,17 +155,17 @@ class Attempts(Batch):
         jax.block_until_ready(pool.priced)
 
     def _round(self, pool: Pool, slots: "_Slots", max_price: float) -> None:
-        begin = self.clock.now()
+        begin = self.batch.clock.now()
         live = np.flatnonzero(pool.ids >= 0)
         route, host = pool.route()
         slots.rounds[live] += 1
-        np.add.at(self.rounds, pool.ids[live], 1)
-        begin = self.spend(pool.ids[live], begin)
+        np.add.at(self.batch.rounds, pool.ids[live], 1)
+        begin = self.batch.spend(pool.ids[live], begin)
         live = self._leave(pool, slots, live, host, max_price)
         unjudged = host.unjudged[live].any(axis=1)
         if unjudged.any():
             self.judge(pool, live[unjudged], route, host)
-            begin = self.spend(pool.ids[live[unjudged]], begin)
+            begin = self.batch.spend(pool.ids[live[unjudged]], begin)
             live = live[~unjudged]
         to_shorten = (slots.first_look[live] > 0) & (host.num[live] > 2)
         rows, testing = live[to_shorten], live[~to_shorten]
@@ -195,7 +191,7 @@ class Attempts(Batch):
         for row in live[dear]:
             aside = SetAside(int(slots.number[row]), pool.known(int(row)))
             self.set_aside[pool.ids[row]].append(aside)
-        late = ~self.in_time()[pool.ids[live]]
+        late = ~self.batch.in_time()[pool.ids[live]]
         gone = none | dear | late | (slots.rounds[live] > _MOST_ROUNDS * self.options.effort)
         pool.ids[live[gone]] = -1
         return live[~gone]
@@ -211,8 +207,8 @@ class Attempts(Batch):
         for part, padded in in_chunks(rows, self.chunk):
             at = padded[:, None], np.maximum(steps[padded], 0)
             starts, ends = host.points[at], host.points[at[0], np.minimum(at[1] + 1, last)]
-            readings = self.clock.call(take, pool.reading, padded)
-            found = self.clock.call(
+            readings = self.batch.clock.call(take, pool.reading, padded)
+            found = self.batch.clock.call(
                 self.strategy.looks.edges,
                 self.strategy.weights,
                 readings,
@@ -225,20 +221,20 @@ class Attempts(Batch):
 
     def _test(self, pool: Pool, rows: np.ndarray, route: Route, host: Route) -> None:
         """Tests the paths of some slots; what holds is certified, shortened, and leaves."""
-        begin = self.clock.now()
-        tested = check_routes(self, pool.ids[rows], host, rows)
+        begin = self.batch.clock.now()
+        tested = check_routes(self.batch, pool.ids[rows], host, rows)
         through = rows[~tested.outcome.refuted]
-        through = through[self.certify_routes(pool.ids[through], through, host, tested.edges)]
-        begin = self.spend(pool.ids[rows], begin)
+        through = through[self.batch.certify_routes(pool.ids[through], through, host, tested.edges)]
+        begin = self.batch.spend(pool.ids[rows], begin)
         longer = through[host.num[through] > 2]
         if len(longer) and self.strategy.shorten:
             self.shortener.shorten(pool, longer, host)
-            begin = self.clock.now()
+            begin = self.batch.clock.now()
         pool.ids[through] = -1
         left = rows[pool.ids[rows] >= 0]
         if len(left):
             pool.learn(route, tested.nodes, tested.edges)
-            self.spend(pool.ids[left], begin)
+            self.batch.spend(pool.ids[left], begin)
 
 
 class _Slots(NamedTuple):

@@ -37,3 +37,7 @@ class Batch(Progress):
         np.add.at(self.edge_checks, ids, outcome.num_edges)
         np.add.at(self.search_checks, ids, outcome.num_checks)
         return outcome
+
+    def warm_up(self) -> None:
+        """Compiles all that tests need."""
+        self.tester.warm_up(self.placed, self.robot.num_dof)

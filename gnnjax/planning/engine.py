@@ -11,8 +11,9 @@ import numpy as np
 
 from gnnjax.collision.sequences import Items
 from gnnjax.planning.attempts import Attempts
-from gnnjax.planning.options import CHEAP
-from gnnjax.planning.pool import Pool, sizes_up_to
+from gnnjax.planning.batch import Batch
+from gnnjax.planning.guided import Guided
+from gnnjax.planning.options import CHEAP, PlannerOptions
 from gnnjax.planning.query import Plan
 from gnnjax.planning.shorten_by_tests import cut_short
 from gnnjax.planning.trees import CHEAPLY, DRAWN, HASTY_ROUNDS, SPARINGLY, Outlook, grow
@@ -25,28 +26,42 @@ _GROWN = 1024  # problems whose trees are grown together; the last of them take 
 _ROADMAPS_A_LEVEL = 4
 
 
-class Run(Attempts):
-    """A batch of P problems on its way: what was found and what it cost."""
+class Run:
+    """A batch of P problems on its way."""
+
+    def __init__(
+        self, batch: Batch, strategy: Guided, options: PlannerOptions, seed: int, pool: int
+    ):
+        """Args:
+        batch: of the problems, which `check_query` accepts; keeps books on them.
+        strategy: has the guide, makes roadmaps and shortcuts.
+        options: how much is tried.
+        seed: of roadmaps and trees.
+        pool: most problems on their way on roadmaps at once.
+        """
+        self.batch, self.strategy, self.options, self.seed = batch, strategy, options, seed
+        self.attempts = Attempts(batch, strategy, options, seed, pool)
+        self.wanted = np.ones(len(batch.paths), bool)  # whether a path is still looked for
 
     def run(self) -> list[Plan]:
         """Plans all problems."""
-        every = np.arange(len(self.paths))
+        batch, every = self.batch, np.arange(len(self.batch.paths))
         # Sampled roadmaps are searched as other planners do; most have no such edge.
         for first in range(0, 0 if self.options.sampled else len(every), _STRAIGHT):
             self._test_straight_lines(every[first : first + _STRAIGHT])
         # Paths that are shortened afterwards wait for the certificate of what comes out.
-        self.defers = not self._on_roadmaps
+        batch.defers = not self._on_roadmaps
         self._search()
-        if self.defers:
-            had = np.array([self.best(i) is not None for i in range(len(every))], bool)
-            cut_short(self, every)
-            self.defers = False
+        if batch.defers:
+            had = np.array([batch.best(i) is not None for i in range(len(every))], bool)
+            cut_short(batch, every)
+            batch.defers = False
             # What tests found free and no certificate does: a search that goes around it.
-            self.wanted = had & np.array([path is None for path in self.paths], bool)
+            self.wanted = had & np.array([path is None for path in batch.paths], bool)
             if self.wanted.any():
                 self._search()
-                cut_short(self, np.flatnonzero(self.wanted))
-        return self.plans([self._reason(i) for i in range(len(every))])
+                cut_short(batch, np.flatnonzero(self.wanted))
+        return batch.plans([self._reason(i) for i in range(len(every))])
 
     @property
     def _on_roadmaps(self) -> bool:
@@ -59,97 +74,89 @@ class Run(Attempts):
         if self._on_roadmaps:
             self._search_roadmaps()
         # A first look where checks are dear is one at likely paths.
-        if not (self.options.sampled or (self._on_roadmaps and self.limits.is_hasty)):
+        if not (self.options.sampled or (self._on_roadmaps and self.batch.limits.is_hasty)):
             self._grow_trees()
 
     def _search_roadmaps(self) -> None:
         """Searches roadmaps for the problems that have no path."""
-        every = np.arange(len(self.paths))
+        attempts, every = self.attempts, np.arange(len(self.batch.paths))
         last = min(self.options.max_roadmaps, _ROADMAPS_A_LEVEL * self.options.effort)
-        if self.limits.is_hasty:
+        if self.batch.limits.is_hasty:
             last = 1
         for level in range(0, last, _ROADMAPS_A_LEVEL):
             for number in range(level, min(level + _ROADMAPS_A_LEVEL, last)):
                 ids = self._open()
-                self.roadmaps[ids] += 1
-                self.attempt(ids, np.full(len(ids), number), self.strategy.give_up)
+                self.batch.roadmaps[ids] += 1
+                attempts.attempt(ids, np.full(len(ids), number), self.strategy.give_up)
             # No roadmap had a likely path: now the unlikely ones, all that there are of a problem
             # side by side. The first roadmap is of another shape.
-            for is_first in () if self.limits.is_hasty else (True, False):
+            for is_first in () if self.batch.limits.is_hasty else (True, False):
                 again = [
                     (i, one)
                     for i in self._open().tolist()
-                    for one in self.set_aside[i]
+                    for one in attempts.set_aside[i]
                     if (one.number == 0) == is_first
                 ]
                 if again:
                     ids, aside = zip(*again, strict=True)
                     numbers = np.array([one.number for one in aside])
-                    self.attempt(np.array(ids), numbers, np.inf, [one.known for one in aside])
-            self.set_aside = [[] for _ in every]
+                    attempts.attempt(np.array(ids), numbers, np.inf, [one.known for one in aside])
+            attempts.set_aside = [[] for _ in every]
 
     def _grow_trees(self) -> None:
         """Two trees for each problem that has no path."""
+        batch, ids = self.batch, self._open()
         schedule = CHEAPLY if self.options.check_cost <= CHEAP else SPARINGLY
-        rounds = HASTY_ROUNDS if self.limits.is_hasty else schedule.rounds * self.options.effort
-        ids = self._open()
-        ends = np.concatenate([self.problems.start[ids], self.problems.goal[ids]], axis=1)
+        rounds = HASTY_ROUNDS if batch.limits.is_hasty else schedule.rounds * self.options.effort
+        ends = np.concatenate([batch.problems.start[ids], batch.problems.goal[ids]], axis=1)
         ids = ids[np.isfinite(ends).all(axis=1)]  # of others there is nothing to grow from
         for first in range(0, len(ids), _GROWN):
-            begin, some = self.clock.now(), ids[first : first + _GROWN]
-            outlook = Outlook(self, self.strategy, some, self.chunk)
-            self.spend(some, begin)
-            grow(self, some, outlook, self.seed, schedule, rounds)
+            begin, some = batch.clock.now(), ids[first : first + _GROWN]
+            outlook = self._outlook(some)
+            batch.spend(some, begin)
+            grow(batch, some, outlook, self.seed, schedule, rounds)
 
     def _reason(self, i: int) -> str:
         """Why there is no path of a problem."""
-        tried = f"no path in {self.rounds[i]} rounds of growing trees from both ends"
+        batch = self.batch
+        tried = f"no path in {batch.rounds[i]} rounds of growing trees from both ends"
         if self._on_roadmaps:
             tried = (
-                f"no path in the {self.roadmaps[i]} roadmaps tried ({self.strategy.describe}), "
-                f"{self.rounds[i]} rounds"
+                f"no path in the {batch.roadmaps[i]} roadmaps tried ({self.strategy.describe}), "
+                f"{batch.rounds[i]} rounds"
             )
-        why = self.given_up(i, tried)
+        why = batch.given_up(i, tried)
         if why != tried:
             return why
         more = "; more effort may find one"
-        if self.robot.turns_more_than_once.any():
+        if batch.robot.turns_more_than_once.any():
             more += ", or the goal in another turn (in_all_turns, --any-turn)"
         return tried + more
 
     def warm_up(self) -> None:
         """Compiles all that planning needs, and plans nothing."""
-        num = len(self.paths)
-        self.tester.warm_up(self.placed, self.robot.num_dof)
-        numbers = range(1 if self.options.sampled else min(2, self.options.max_roadmaps))
-        for number in numbers if self._on_roadmaps else ():
-            most = min(num, self.pool, self.strategy.most_slots(number))
-            for size in sizes_up_to(most):
-                pool = Pool(size, self.clock)
-                self.enter(pool, np.zeros(1, int), np.arange(1), np.arange(1), number, None)
-                route, host = pool.route()
-                if not self.strategy.is_judged:
-                    self.judge(pool, np.zeros(1, int), route, host)
-                pool.learn(route, *np.zeros((2, *host.path.shape), np.int8))
-                if self.strategy.shorten:
-                    self.shortener.shortcuts(pool, np.zeros(1, int), host)
+        self.batch.warm_up()
+        if self._on_roadmaps:
+            self.attempts.warm_up()
         if not self.options.sampled:
-            some = np.zeros((1, DRAWN, self.robot.num_dof), np.float32)
-            outlook = Outlook(self, self.strategy, np.zeros(1, int), self.chunk)
-            outlook.prices(np.zeros(1, int), some, some)
+            some = np.zeros((1, DRAWN, self.batch.robot.num_dof), np.float32)
+            self._outlook(np.zeros(1, int)).prices(np.zeros(1, int), some, some)
+
+    def _outlook(self, ids: np.ndarray) -> Outlook:
+        return Outlook(self.batch, self.strategy, ids, self.attempts.chunk)
 
     def _open(self) -> np.ndarray:
-        return np.flatnonzero(self.open() & self.wanted)
+        return np.flatnonzero(self.batch.open() & self.wanted)
 
     def _test_straight_lines(self, ids: np.ndarray) -> None:
         """Tests the straight lines from starts to goals."""
-        begin = self.clock.now()
-        starts, goals = self.problems.start[ids], self.problems.goal[ids]
+        batch, begin = self.batch, self.batch.clock.now()
+        starts, goals = batch.problems.start[ids], batch.problems.goal[ids]
         items = Items(np.arange(len(ids)), ids, starts, goals, np.ones(len(ids), bool))
-        outcome = self.test(ids, items)
-        self.straight[ids] = INVALID
+        outcome = batch.test(ids, items)
+        self.attempts.straight[ids] = INVALID
         free = ~outcome.refuted
-        lines = [np.stack([self.problems.start[i], self.problems.goal[i]]) for i in ids[free]]
-        begin = self.spend(ids, begin)
-        self.certify(ids[free], lines)
-        self.spend(ids, begin)
+        lines = list(np.stack([starts[free], goals[free]], axis=1))
+        begin = batch.spend(ids, begin)
+        batch.certify(ids[free], lines)
+        batch.spend(ids, begin)

@@ -17,6 +17,7 @@ from gnnjax.collision.sequences import SequenceTester
 from gnnjax.devices import Share, on_host, shares_of, side_by_side
 from gnnjax.errors import InputError, check_seed
 from gnnjax.per_object import per_object
+from gnnjax.planning.batch import Batch
 from gnnjax.planning.engine import Run
 from gnnjax.planning.goals import find_goals, plan_to_cheapest
 from gnnjax.planning.guided import Guided
@@ -225,8 +226,8 @@ class GuidedPlanner(Planner):
         limits: Limits,
         shares: int = 1,
     ) -> Run:
-        own = self.robot, self.strategy, self.options, limits
-        return Run(*own, tester, problems, seed, pool, shares)
+        batch = Batch(self.robot, problems, limits, tester, shares)
+        return Run(batch, self.strategy, self.options, seed, pool)
 
     @per_object(functools.cache)
     def _tester(self, axis_aligned: bool) -> SequenceTester:

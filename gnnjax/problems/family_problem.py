@@ -114,7 +114,7 @@ def held_upright(robot: Robot, q: Float[Array, "*batch D"]) -> Float[Array, "*ba
             f"{robot.name} holds nothing to be upright; robot.attach(...), or --attach"
         )
     first = next(p for p, part in enumerate(robot.parts) if part.body == held[-1])
-    axis = quat_to_matrix(robot.mj_model.geom_quat[robot.part_geom_ids[first]])[:, 2]
+    axis = quat_to_matrix(robot.mj_model.geom_quat[robot.part_geoms[first]])[:, 2]
     _, rotations = forward_kinematics(robot, q)
     return jnp.sum(rotations[..., held[-1], 2, :] * jnp.asarray(axis, q.dtype), axis=-1)
 
@@ -147,10 +147,10 @@ def arm_reach(robot: Robot) -> Reach:
 def _tip(robot: Robot) -> tuple[int, np.ndarray]:
     """The body that has the tip, and where this is in its frame `[3]`, m."""
     if held := robot.held_bodies:
-        return held[-1], robot.geom_centers[robot.geom_bodies == held[-1]].mean(axis=0)
-    last = int(robot.geom_bodies.max())
+        return held[-1], robot.sphere_centers[robot.sphere_bodies == held[-1]].mean(axis=0)
+    last = int(robot.sphere_bodies.max())
     end, points = robot.bodies[last], []
-    for center, b in zip(robot.geom_centers, robot.geom_bodies.tolist(), strict=True):
+    for center, b in zip(robot.sphere_centers, robot.sphere_bodies.tolist(), strict=True):
         body = robot.bodies[b]
         beside = b >= 0 and body.parent == end.parent and not (body.joints or end.joints)
         if b == last:

@@ -14,7 +14,7 @@ import numpy as np
 
 from gnnjax.arm.bodies import read_body
 from gnnjax.arm.contacts import always_touching, exclude_bodies, pair_explicitly
-from gnnjax.arm.covers import pairs_of_rows
+from gnnjax.arm.covers import pairs_of_spheres
 from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import self_pairs, without_warnings
 from gnnjax.arm.parts import part_of_geom
@@ -98,7 +98,7 @@ def _attached(robot: Robot, load: Load) -> Robot:
     held = np.array([model.geom(name).id for name in names])
     held_body = model.body(held_name).id
     # Compiling keeps the order of what was there before.
-    old = np.setdiff1d(np.arange(model.ngeom), held)[robot.part_geom_ids]
+    old = np.setdiff1d(np.arange(model.ngeom), held)[robot.part_geoms]
     geoms = np.concatenate([old, held])
     shifted = [part._replace(body=part.body + (part.body >= held_body - 1)) for part in robot.parts]
     new = [part_of_geom(model, g, robot.path) for g in held.tolist()]
@@ -133,9 +133,9 @@ def _attached(robot: Robot, load: Load) -> Robot:
             model = spec.compile()
 
     covers = [item.cover(part) for item, part in zip(items, new, strict=True)]
-    geom_parts = np.concatenate(
+    sphere_parts = np.concatenate(
         [
-            robot.geom_parts,
+            robot.sphere_parts,
             *(np.full(len(x.radii), len(old) + h) for h, x in enumerate(covers)),
         ]
     )
@@ -148,14 +148,14 @@ def _attached(robot: Robot, load: Load) -> Robot:
         mj_model=model,
         bodies=tuple(read_body(model, b) for b in range(1, model.nbody)),
         parts=parts,
-        part_geom_ids=geoms,
+        part_geoms=geoms,
         part_pairs=pairs,
-        geom_parts=geom_parts,
-        geom_bodies=np.array([parts[p].body for p in geom_parts.tolist()]),
-        geom_centers=np.concatenate([robot.geom_centers, *(x.centers for x in covers)]),
-        geom_radii=np.concatenate([robot.geom_radii, *(x.radii for x in covers)]),
-        geom_inner_radii=np.concatenate([robot.geom_inner_radii, *(x.depths for x in covers)]),
-        self_pairs=pairs_of_rows(geom_parts, pairs),
+        sphere_parts=sphere_parts,
+        sphere_bodies=np.array([parts[p].body for p in sphere_parts.tolist()]),
+        sphere_centers=np.concatenate([robot.sphere_centers, *(x.centers for x in covers)]),
+        sphere_radii=np.concatenate([robot.sphere_radii, *(x.radii for x in covers)]),
+        sphere_inner_radii=np.concatenate([robot.sphere_inner_radii, *(x.depths for x in covers)]),
+        sphere_pairs=pairs_of_spheres(sphere_parts, pairs),
         loads=(*robot.loads, load),
         notes=(*robot.notes, note),
     )

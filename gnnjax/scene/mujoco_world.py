@@ -130,7 +130,7 @@ def _paired_alone(robot: Robot) -> list[str]:
     model = robot.mj_model
     return [
         model.geom(g).name  # they have names, or no pair could name them
-        for g in robot.part_geom_ids.tolist()
+        for g in robot.part_geoms.tolist()
         if not (model.geom_contype[g] or model.geom_conaffinity[g])
         and model.body_weldid[model.geom_bodyid[g]]
     ]
@@ -188,7 +188,7 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
     place_obstacles(model, data, scene._replace(cloud=None, allowed=None))
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
-    parts, names = robot.part_geom_ids.tolist(), [part.name for part in robot.parts]
+    parts, names = robot.part_geoms.tolist(), [part.name for part in robot.parts]
     found = [
         (depth_of(model, data, parts[a], parts[b]), names[a], names[b])
         for a, b in robot.part_pairs.tolist()
@@ -226,7 +226,7 @@ def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
     obstacle = int(obstacles(model, len(scene.mask)).geoms[i])
     fixed = [
         g
-        for g, part in zip(robot.part_geom_ids.tolist(), robot.parts, strict=True)
+        for g, part in zip(robot.part_geoms.tolist(), robot.parts, strict=True)
         if not (_is_moved(model, g) or _is_meant(scene, i, part.body))
     ]
     return max((depth_of(model, data, g, obstacle) for g in fixed), default=0.0)
@@ -241,7 +241,7 @@ def _depth_in_cloud(
     if scene.cloud is None or not int(scene.cloud.num):
         return deepest
     points, ball = np.asarray(scene.cloud.points[: int(scene.cloud.num)], float), scene.cloud.radius
-    for g, part in zip(robot.part_geom_ids.tolist(), robot.parts, strict=True):
+    for g, part in zip(robot.part_geoms.tolist(), robot.parts, strict=True):
         body, reach = int(model.geom_bodyid[g]), part.radius + float(ball)
         if _is_moved(model, g) != moved:
             continue

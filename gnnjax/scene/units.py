@@ -56,7 +56,7 @@ def _lengths(robot: Robot) -> tuple[float, float]:
         links.append(float(np.linalg.norm(body.position)))
         reaches.append(before + links[-1] + slides + anchors)
     for b, center, radius in zip(
-        robot.geom_bodies.tolist(), robot.geom_centers, robot.geom_radii, strict=True
+        robot.sphere_bodies.tolist(), robot.sphere_centers, robot.sphere_radii, strict=True
     ):
         links.append(float(np.linalg.norm(center) + radius))
         reaches.append((reaches[b] if b >= 0 else 0.0) + links[-1])

@@ -287,5 +287,5 @@ def _called(robot: Robot, scene: Scene, model: mujoco.MjModel, geom: int) -> str
     placed_at = obstacles(model, len(scene.mask)).geoms.tolist()
     if geom in placed_at:
         return obstacle_name(scene, placed_at.index(geom))
-    parts = robot.part_geom_ids.tolist()
+    parts = robot.part_geoms.tolist()
     return robot.parts[parts.index(geom)].name if geom in parts else "the cloud"

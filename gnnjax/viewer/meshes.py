@@ -167,7 +167,7 @@ def shown_geoms(robot: Robot) -> list[int]:
     model = robot.mj_model
     shown = set(np.flatnonzero(model.geom_group < _SHOWN_GROUPS).tolist())
     dressed = {int(model.geom_bodyid[g]) for g in shown}
-    bare = {g for g in robot.part_geom_ids.tolist() if int(model.geom_bodyid[g]) not in dressed}
+    bare = {g for g in robot.part_geoms.tolist() if int(model.geom_bodyid[g]) not in dressed}
     return sorted(shown | bare)
 
 
@@ -186,7 +186,7 @@ def arm_pieces(robot: Robot) -> list[Piece]:
 def ghost_pieces(robot: Robot, rgba: tuple[float, float, float, float]) -> list[Piece]:
     """What moves of an arm, as what it collides as, in one colour."""
     model, found = robot.mj_model, dict[int, list[Mesh]]()
-    for g in robot.part_geom_ids.tolist():
+    for g in robot.part_geoms.tolist():
         if model.body_weldid[model.geom_bodyid[g]]:
             found.setdefault(int(model.geom_bodyid[g]), []).append(geom_mesh(model, g))
     return [Piece(body, rgba, joined(meshes)) for body, meshes in found.items()]
