@@ -89,7 +89,7 @@ def cross(a: Vector, b: Vector) -> Vector:
     ]
 
 
-def transform(position: Vector, rotation: Matrix, point: Vector) -> Vector:
+def transform_point(position: Vector, rotation: Matrix, point: Vector) -> Vector:
     """A point of a frame, where the frame is seen from."""
     return [add(p, dot(row, point)) for p, row in zip(position, rotation, strict=True)]
 
@@ -136,7 +136,7 @@ def body_frames(
 
 
 def _move(body: Body, position: Vector, rotation: Matrix, joints: Joints) -> Frame:
-    position = transform(position, rotation, _constant(body.position))
+    position = transform_point(position, rotation, _constant(body.position))
     rotation = product(rotation, _constant(body.rotation))
     for joint in body.joints:
         position, rotation = move_joint(joint, position, rotation, joints)
@@ -154,7 +154,7 @@ def move_joint(joint: Joint, position: Vector, rotation: Matrix, joints: Joints)
     cos, sin = joints.cos[joint.index], joints.sin[joint.index]
     turn: Matrix = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]
     align = _align_z(joint.axis)
-    anchor = transform(position, rotation, _constant(joint.anchor))
+    anchor = transform_point(position, rotation, _constant(joint.anchor))
     rotation = product(rotation, _constant(align))
     rotation = product(product(rotation, turn), _constant(align.T))
     # The anchor is the point of the body that the turn leaves where it was.

@@ -30,7 +30,7 @@ from gnnjax.arm.kinematics import (
     multiply,
     product,
     subtract,
-    transform,
+    transform_point,
 )
 from gnnjax.arm.reading import motor_limits
 from gnnjax.arm.robot import Robot
@@ -213,11 +213,11 @@ def _holding(robot: Robot, q: Float[Array, "*batch D"]) -> list[Scalar]:
     axes: list[tuple[int, Joint, Vector, Vector]] = []  # body, joint, direction, anchor
     for number, body in enumerate(robot.bodies):
         position, rotation = frames[body.parent] if body.parent >= 0 else WORLD
-        position = transform(position, rotation, body.position.tolist())
+        position = transform_point(position, rotation, body.position.tolist())
         rotation = product(rotation, body.rotation.tolist())
         for joint in body.joints:  # whose own turn leaves its axis alone
             direction = [dot(row, joint.axis.tolist()) for row in rotation]
-            anchor = transform(position, rotation, joint.anchor.tolist())
+            anchor = transform_point(position, rotation, joint.anchor.tolist())
             axes.append((number, joint, direction, anchor))
             position, rotation = move_joint(joint, position, rotation, joints)
         frames.append((position, rotation))
@@ -225,7 +225,7 @@ def _holding(robot: Robot, q: Float[Array, "*batch D"]) -> list[Scalar]:
     # Mass, and mass times middle, of bodies, and then of all that hangs on them.
     masses, moments = _weights(robot)
     sums = [
-        transform([multiply(x, mass) for x in position], rotation, moment)
+        transform_point([multiply(x, mass) for x in position], rotation, moment)
         for (position, rotation), mass, moment in zip(frames, masses, moments, strict=True)
     ]
     for number, body in reversed([*enumerate(robot.bodies)]):

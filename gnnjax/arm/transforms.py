@@ -10,7 +10,7 @@ import numpy as np
 from gnnjax.arm.bodies import Joint
 
 
-def transform(rotation: np.ndarray, place: np.ndarray) -> np.ndarray:
+def transform_of(rotation: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Of a rotation `[3 3]` and a place `[3]`."""
     return np.concatenate([rotation, place[:, None]], axis=1)
 
@@ -22,7 +22,7 @@ def compose(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
     return moved
 
 
-def composed(outer: jax.Array, inner: jax.Array) -> jax.Array:
+def compose_each(outer: jax.Array, inner: jax.Array) -> jax.Array:
     """`compose` of S transforms `[3 4 S]`."""
     # No reduction and no update in place, each of which the compiler would make a loop of its own.
     turned = sum(outer[:, k, None] * inner[k] for k in range(3))
@@ -46,13 +46,13 @@ def _parts(joint: Joint | None) -> np.ndarray:
     nothing = np.zeros((3, 4))
     if joint is None or not joint.hinge:
         along = np.zeros(3) if joint is None else joint.axis
-        parts = nothing, nothing, transform(np.zeros((3, 3)), along)
-        return np.stack([transform(np.eye(3), np.zeros(3)), *parts])
+        parts = nothing, nothing, transform_of(np.zeros((3, 3)), along)
+        return np.stack([transform_of(np.eye(3), np.zeros(3)), *parts])
     x, y, z = joint.axis
     along = np.outer(joint.axis, joint.axis)
     across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # Rodrigues' formula
     turns = [along, np.eye(3) - along, across]
     # The anchor stays where it is.
-    parts = [transform(turn, -turn @ joint.anchor) for turn in turns]
+    parts = [transform_of(turn, -turn @ joint.anchor) for turn in turns]
     parts[0][:, 3] += joint.anchor
     return np.stack([*parts, nothing])

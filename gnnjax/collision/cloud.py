@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from gnnjax.arm.kinematics import body_frames, joint_terms, transform
+from gnnjax.arm.kinematics import body_frames, joint_terms, transform_point
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.exact import WORD, bits_of
 from gnnjax.collision.levels import BLOCKED, CLOUD, CollisionFunctions, Levels
@@ -212,7 +212,7 @@ def over_moving_spheres(robot: Robot) -> Callable[..., Any]:
                 frames = body_frames(robot, fresh)
                 for g in chosen:
                     position, rotation = frames[bodies[g]]
-                    point = transform(position, rotation, centers[g])
+                    point = transform_point(position, rotation, centers[g])
                     value = step(value, g, corners_around(grid, point), radii[g] + grid.radius)
                 return value
 

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gnnjax.arm.kinematics import Matrix, Vector, dot, subtract, transform
+from gnnjax.arm.kinematics import Matrix, Vector, dot, subtract, transform_point
 from gnnjax.collision.simplex import nearest_point
 
 MAX_ROUNDS = 32
@@ -92,11 +92,11 @@ def separate_obstacles(
         stretch = discs * jax.lax.rsqrt(jnp.where(across > 0.0, across, 1.0))
         farthest = [jnp.where(x > 0.0, h, -h) for x, h in zip(n, extents, strict=True)]
         farthest = [farthest[0] + stretch * n[0], farthest[1] + stretch * n[1], farthest[2]]
-        return subtract(transform(list(position), rows, lowest), farthest)
+        return subtract(transform_point(list(position), rows, lowest), farthest)
 
     size = reach + sum(extents) + discs + jnp.sum(jnp.abs(position), axis=0)
     radii = parts.radii[part] + obstacles.balls
-    inner = transform(list(position), rows, list(_middles(parts)[part].T))
+    inner = transform_point(list(position), rows, list(_middles(parts)[part].T))
     first = _outwards(inner, obstacles) if direction is None else list(direction)
     return _separate(support, inner, radii, size, first)
 
@@ -132,13 +132,13 @@ def separate_parts(
     def support(n: Vector, turns: jax.Array) -> Vector:
         both = [jnp.concatenate([x, -y]) for x, y in zip(_turned_back(rows, n), n, strict=True)]
         lowest = [jnp.split(x, 2) for x in _lowest(vertices, both, turns)]
-        seen = transform(list(position), rows, [x for x, _ in lowest])
+        seen = transform_point(list(position), rows, [x for x, _ in lowest])
         return subtract(seen, [y for _, y in lowest])
 
     size = jnp.sum(jnp.abs(position), axis=0) + sum(jnp.split(reach, 2))
     radii = parts.radii[part] + parts.radii[other] + margin
     middles = _middles(parts)
-    inner = transform(list(position), rows, list(middles[part].T))
+    inner = transform_point(list(position), rows, list(middles[part].T))
     return _separate(support, subtract(inner, list(middles[other].T)), radii, size, list(direction))
 
 

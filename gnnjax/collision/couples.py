@@ -10,7 +10,7 @@ import numpy as np
 
 from gnnjax.arm.bodies import Joint
 from gnnjax.arm.robot import Robot
-from gnnjax.arm.transforms import behind, transform
+from gnnjax.arm.transforms import behind, transform_of
 from gnnjax.collision.reaches import Line, reach_between, ways_apart
 
 MOST_JOINTS = 3
@@ -68,10 +68,10 @@ def couple_of(
     def steps(way: list[int]) -> tuple[Step, ...]:
         found = []
         for body in (robot.bodies[b] for b in way):
-            own = transform(body.rotation, body.position)
+            own = transform_of(body.rotation, body.position)
             for joint in body.joints or (None,):
                 found.append(_step(own, joint, joints))
-                own = transform(np.eye(3), np.zeros(3))
+                own = transform_of(np.eye(3), np.zeros(3))
         return tuple(found)
 
     sides = []

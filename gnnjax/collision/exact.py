@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 from gnnjax.arm.hulls import simpler_hulls
 from gnnjax.arm.kinematics import Joints, joint_terms
 from gnnjax.arm.robot import Robot
-from gnnjax.arm.transforms import behind, composed, transform
+from gnnjax.arm.transforms import behind, compose_each, transform_of
 from gnnjax.collision import convex
 from gnnjax.collision.contact_maps import ContactMaps
 from gnnjax.collision.placed import Obstacle, Placed
@@ -208,7 +208,7 @@ def part_frames(robot: Robot, q: jax.Array) -> _Frames:
     world = jnp.broadcast_to(jnp.eye(3, 4)[..., None], (3, 4, len(q)))
 
     def turn(i: jax.Array, frames: jax.Array) -> jax.Array:
-        return frames.at[i].set(composed(frames[jnp.asarray(joints.before)[i]], own[i]))
+        return frames.at[i].set(compose_each(frames[jnp.asarray(joints.before)[i]], own[i]))
 
     frames = jnp.zeros((len(joints.before) + 1, *world.shape)).at[-1].set(world)
     frames = jax.lax.fori_loop(0, len(joints.before), turn, frames)[joints.last]
@@ -228,12 +228,12 @@ def _joints(robot: Robot) -> _Joints:
     index, parts, before, last = [], [], [], []
     for body in robot.bodies:
         at = last[body.parent] if body.parent >= 0 else -1
-        own = transform(body.rotation, body.position)
+        own = transform_of(body.rotation, body.position)
         for joint in body.joints or (None,):
             index.append(0 if joint is None else joint.index)
             parts.append(behind(own, joint))
             before.append(at)
-            at, own = len(before) - 1, transform(np.eye(3), np.zeros(3))
+            at, own = len(before) - 1, transform_of(np.eye(3), np.zeros(3))
         last.append(at)
     return _Joints(*map(np.array, (index, np.stack(parts, axis=1), before, [*last, -1])))
 

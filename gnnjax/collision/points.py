@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from gnnjax.arm.kinematics import dot, transform
+from gnnjax.arm.kinematics import dot, transform_point
 from gnnjax.arm.robot import Robot
 from gnnjax.collision import convex
 from gnnjax.collision.exact import hulls_of, part_frames, test_pairs
@@ -171,7 +171,7 @@ def clear_of_points(
             ball, axes = radius[of], [list(row) for row in rotation]
             half = list(part_halves[part].T)
             around = [dot([jnp.abs(x) for x in row], half) for row in axes]
-            middle = transform(list(position), axes, list(part_middles[part].T))
+            middle = transform_point(list(position), axes, list(part_middles[part].T))
             more = ball + _ROUNDING
             box = _Box(middle, axes, [x + more for x in half], [x + more for x in around])
             lanes = jnp.arange(len(lane))[:, None]

@@ -24,7 +24,7 @@ from gnnjax.arm.kinematics import (
     dot,
     joint_terms,
     subtract,
-    transform,
+    transform_point,
 )
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.placed import Obstacle, Placed
@@ -66,7 +66,7 @@ def placed_spheres(robot: Robot, joints: Joints, base: Frame = WORLD) -> list[Ve
     points = []
     for body, center in zip(robot.sphere_bodies, robot.sphere_centers.tolist(), strict=True):
         position, rotation = frames[body] if body >= 0 else base
-        points.append(transform(position, rotation, center))
+        points.append(transform_point(position, rotation, center))
     return points
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from gnnjax.arm.kinematics import body_frames, joint_terms, transform
+from gnnjax.arm.kinematics import body_frames, joint_terms, transform_point
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.guide.guide import Guide, Prices
@@ -66,7 +66,7 @@ def _compiled_centers(robot: Robot) -> Callable[[np.ndarray], jax.Array]:
         frames = body_frames(robot, joint_terms(robot, q))
         points = zip(spheres.bodies, spheres.centers.tolist(), strict=True)
         return jnp.stack(
-            [jnp.broadcast_to(x, len(q)) for b, c in points for x in transform(*frames[b], c)]
+            [jnp.broadcast_to(x, len(q)) for b, c in points for x in transform_point(*frames[b], c)]
         ).reshape(-1, 3, len(q))
 
     return keep(centers)
@@ -94,7 +94,7 @@ def margin_function(robot: Robot, grid: Grid) -> Callable[[jax.Array, jax.Array]
                 fresh, smallest = jax.lax.optimization_barrier((joints, smallest))
                 frames = body_frames(robot, fresh)
                 for s in chosen:
-                    point = transform(*frames[spheres.bodies[s]], spheres.centers[s].tolist())
+                    point = transform_point(*frames[spheres.bodies[s]], spheres.centers[s].tolist())
                     left = field[cell_of(grid, point)] - float(spheres.radii[s])
                     smallest = jnp.where(left < smallest, left, smallest)
                 return smallest

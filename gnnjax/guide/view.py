@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from gnnjax.arm.kinematics import body_frames, dot, joint_terms, subtract, transform
+from gnnjax.arm.kinematics import body_frames, dot, joint_terms, subtract, transform_point
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.scene.geometry import signed_distance
@@ -69,7 +69,9 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
             nearer_now = []
             for g, center, near in zip(points, centers, nearest, strict=True):
                 position, rotation = frames[robot.sphere_bodies[g]]
-                offset = subtract(transform(position, rotation, center), list(scene.centers[at]))
+                offset = subtract(
+                    transform_point(position, rotation, center), list(scene.centers[at])
+                )
                 seen = [dot(list(row), offset) for row in turned[at]]
                 away = signed_distance(seen, list(scene.half_extents[at]), *scene.radii[at])
                 nearer_now.append(jnp.where(away < near, away, near))
@@ -81,7 +83,7 @@ def point_distances(robot: Robot, num: int) -> Callable[[Scene, jax.Array], jax.
             frames = body_frames(robot, joints)
             for i, (g, center) in enumerate(zip(points, centers, strict=True)):
                 position, rotation = frames[robot.sphere_bodies[g]]
-                away = distances_to(scene.cloud, transform(position, rotation, center))
+                away = distances_to(scene.cloud, transform_point(position, rotation, center))
                 found[i] = jnp.where(away < found[i], away, found[i])
         return jnp.stack(found, axis=-1)
 
@@ -119,7 +121,7 @@ def arm_view(robot: Robot, num: int) -> Callable[[Scene, jax.Array], ArmView]:
         where = []  # P points of 3 arrays
         for g in points:
             position, rotation = frames[bodies[g]]
-            where.append(transform(position, rotation, robot.sphere_centers[g].tolist()))
+            where.append(transform_point(position, rotation, robot.sphere_centers[g].tolist()))
         to_itself = jnp.full(q.shape[:1], _SELF_FAR, q.dtype)
         for i, j in pairs:
             apart = subtract(where[i], where[j])

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnnjax.arm.bodies import Joint
 from gnnjax.arm.robot import Robot
-from gnnjax.arm.transforms import behind, compose, composed, transform
+from gnnjax.arm.transforms import behind, compose, compose_each, transform_of
 from gnnjax.pose.goal import ToolFrame
 
 
@@ -41,10 +41,10 @@ def chain_of(robot: Robot, tool: ToolFrame) -> Chain:
     """The joints between the base and a frame."""
     joints: list[Joint] = []
     parts: list[np.ndarray] = []
-    before = nowhere = transform(np.eye(3), np.zeros(3))
+    before = nowhere = transform_of(np.eye(3), np.zeros(3))
     for b in tool.chain:
         body = robot.bodies[b]
-        before = compose(before, transform(body.rotation, body.position))
+        before = compose(before, transform_of(body.rotation, body.position))
         for joint in body.joints:
             parts.append(behind(before, joint))
             before = nowhere
@@ -57,7 +57,7 @@ def chain_of(robot: Robot, tool: ToolFrame) -> Chain:
         parts=np.stack(parts, axis=1),
         axes=np.stack([joint.axis for joint in joints]),
         anchors=np.stack([joint.anchor for joint in joints]),
-        tool=compose(before, transform(tool.rotation, tool.position)),
+        tool=compose(before, transform_of(tool.rotation, tool.position)),
     )
 
 
@@ -77,13 +77,13 @@ def kinematics(chain: Chain, base: jax.Array, q: jax.Array) -> Kinematics:
     hinge = constant(chain.hinge)
     factors = jnp.stack([jnp.cos(values) * hinge, jnp.sin(values) * hinge, values * (1 - hinge)])
     still, moving = constant(chain.parts[0]), constant(chain.parts[1:])
-    local = settled(still + jnp.sum(moving * factors[:, :, None, None], axis=0))
+    local = materialized(still + jnp.sum(moving * factors[:, :, None, None], axis=0))
     frames = []
     for one in local:
-        base = settled(composed(base, one))
+        base = materialized(compose_each(base, one))
         frames.append(base)
     found = jnp.stack(frames)  # [N 3 4 S]
-    frame = composed(base, constant(chain.tool))
+    frame = compose_each(base, constant(chain.tool))
     axes = jnp.sum(found[:, :, :3] * constant(chain.axes)[:, None], axis=2)
     anchors = found[:, :, 3] + jnp.sum(found[:, :, :3] * constant(chain.anchors)[:, None], axis=2)
     around = jnp.cross(axes, frame[:, 3] - anchors, axis=1)
@@ -94,6 +94,6 @@ def kinematics(chain: Chain, base: jax.Array, q: jax.Array) -> Kinematics:
     return Kinematics(frame, jacobian)
 
 
-def settled(values: jax.Array) -> jax.Array:
+def materialized(values: jax.Array) -> jax.Array:
     """Written to memory, or the compiler computes it anew wherever it is used."""
     return jax.lax.optimization_barrier(values)

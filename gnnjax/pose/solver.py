@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from gnnjax.arm.robot import Robot
-from gnnjax.pose.chain import Chain, kinematics, settled
+from gnnjax.pose.chain import Chain, kinematics, materialized
 
 LEVER = 0.3  # m a rad: what an angle is worth beside a distance while the error is made small
 _STEPS = 20
@@ -59,16 +59,16 @@ def descend(robot: Robot, chain: Chain, target: Target, starts: Float[Array, "S 
         sines, cosine = _turn(turns, frame)
         sine = jnp.sqrt(jnp.sum(sines * sines, axis=0))
         turning = sines * (jnp.arctan2(sine, cosine) / (sine + _TINY))
-        wanted = settled(-counts * jnp.concatenate([frame[:, 3], turning]))
+        wanted = materialized(-counts * jnp.concatenate([frame[:, 3], turning]))
         jacobian = counts * jacobian
         # A joint at its limit that would go beyond it.
         pull = jnp.sum(jacobian * wanted, axis=1)
         stopped = (pull > 0) & (q >= upper) | (pull < 0) & (q <= lower)
-        jacobian = settled(jnp.where(stopped[:, None], 0.0, jacobian))
+        jacobian = materialized(jnp.where(stopped[:, None], 0.0, jacobian))
         damping = 0.5 * jnp.sum(wanted * wanted, axis=0) + _LEAST_DAMPING
         system = jnp.sum(jacobian[:, :, None] * jacobian[:, None], axis=0)
         system += jnp.eye(6)[..., None] * damping
-        moved = q + jnp.sum(jacobian * _solve(settled(system), wanted), axis=1)
+        moved = q + jnp.sum(jacobian * _solve(materialized(system), wanted), axis=1)
         return jnp.clip(moved, lower, upper)
 
     found = jax.lax.fori_loop(0, _STEPS, step, starts.T)
@@ -112,9 +112,9 @@ def _solve(system: jax.Array, right: jax.Array) -> jax.Array:
     for _ in range(len(right)):
         top = left[0, 1:] / left[0, 0]
         tops.append(top)
-        left = settled(left[1:, 1:] - left[1:, :1] * top)
+        left = materialized(left[1:, 1:] - left[1:, :1] * top)
     found = right[:0]
     for top in reversed(tops):
         known = jnp.sum(top[:-1] * found, axis=0)
-        found = settled(jnp.concatenate([(top[-1] - known)[None], found]))
+        found = materialized(jnp.concatenate([(top[-1] - known)[None], found]))
     return found

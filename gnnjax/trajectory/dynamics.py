@@ -29,7 +29,7 @@ from gnnjax.arm.kinematics import (
     multiply,
     product,
     subtract,
-    transform,
+    transform_point,
 )
 from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.arm.robot import Robot
@@ -204,7 +204,7 @@ def _carried(
 ) -> tuple[_Motion, list[_Axis]]:
     """How a body moves, given how its parent does, and where its joints are."""
     position, rotation = parent
-    origin = transform(position, rotation, body.position.tolist())
+    origin = transform_point(position, rotation, body.position.tolist())
     at = _at(before, subtract(origin, position))
     turned = product(rotation, body.rotation.tolist())
     turning, change = before.turning, before.change
@@ -215,7 +215,7 @@ def _carried(
             origin, turned = move_joint(body.joints[number - 1], origin, turned, joints)
         direction = [dot(row, joint.axis.tolist()) for row in turned]
         speed, push = velocity[joint.index], acceleration[joint.index]
-        anchor = transform(origin, turned, joint.anchor.tolist())
+        anchor = transform_point(origin, turned, joint.anchor.tolist())
         axes.append(_Axis(joint, direction, anchor))
         now = _Motion(turning, change, at)
         along, pushed = _scaled(direction, speed), _scaled(direction, push)
@@ -242,7 +242,7 @@ def _wrench(
     if mass == 0.0:
         return [0.0] * 3, [0.0] * 3
     position, rotation = frame
-    center = transform(position, rotation, model.body_ipos[number].tolist())
+    center = transform_point(position, rotation, model.body_ipos[number].tolist())
     fall = subtract(_at(motion, subtract(center, position)), gravity)
     force = _scaled(fall, mass)
     # The principal axes of inertia, seen from the base.
