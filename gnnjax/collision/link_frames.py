@@ -1,4 +1,5 @@
-"""Where links are and how fast, for the certificate; in double precision, apart from the kernels.
+"""Where links are and how fast, for the certificate, and for what is worked out once an arm; in
+double precision, apart from the kernels.
 
 Arrays have their components first and what they are computed for last, see `obstacles.py`.
 """

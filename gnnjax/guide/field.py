@@ -17,6 +17,8 @@ from jaxtyping import Array, Float, Int
 
 from gnnjax.arm.kinematics import body_frames, joint_terms, transform_point
 from gnnjax.arm.robot import Robot
+from gnnjax.collision.bounds import spheres_of
+from gnnjax.collision.link_frames import joint_frames, of_links, place
 from gnnjax.collision.spheres import moved_by_joint
 from gnnjax.guide.guide import Guide, Prices
 from gnnjax.kept import keep
@@ -53,29 +55,22 @@ def reach_grid(robot: Robot, cells: int = CELLS) -> Grid:
     """A grid over what the centres of the arm's spheres reach, seen at random configurations."""
     rng = np.random.default_rng(0)
     q = rng.uniform(robot.joint_lower, robot.joint_upper, (_PLACES, robot.num_dof))
-    centers = np.asarray(_compiled_centers(robot)(q.astype(np.float32)))
-    return make_grid(centers.min((0, 2)), centers.max((0, 2)), cells)
+    centers = _placed_centers(robot, q)
+    return make_grid(centers.min((1, 2)), centers.max((1, 2)), cells)
+
+
+def _placed_centers(robot: Robot, q: Float[np.ndarray, "B D"]) -> Float[np.ndarray, "3 S B"]:
+    """Centres of the spheres that move, m. In NumPy: once an arm, compiling takes far longer."""
+    spheres, body = _spheres(robot), spheres_of(robot)
+    frames = of_links(body, joint_frames(body, q.T.astype(float)))
+    link = np.searchsorted(body.links, spheres.bodies)
+    return place(frames[:, :, link], spheres.centers.T[..., None]).astype(np.float32)
 
 
 @functools.lru_cache(maxsize=8)
-def _compiled_centers(robot: Robot) -> Callable[[np.ndarray], jax.Array]:
-    """Makes the function `q [_PLACES D] -> [S 3 _PLACES]`: centres of the arm's spheres, m."""
-    spheres = _spheres(robot)
-
-    def centers(q: jax.Array) -> jax.Array:
-        frames = body_frames(robot, joint_terms(robot, q))
-        points = zip(spheres.bodies, spheres.centers.tolist(), strict=True)
-        return jnp.stack(
-            [jnp.broadcast_to(x, len(q)) for b, c in points for x in transform_point(*frames[b], c)]
-        ).reshape(-1, 3, len(q))
-
-    return keep(centers)
-
-
-@functools.lru_cache(maxsize=8)
-def _compiled_cells(grid: Grid) -> Callable[[jax.Array], jax.Array]:
-    """Makes the function `[S 3 B] -> [S B]`: the cells of points."""
-    return keep(lambda centers: cell_of(grid, list(jnp.moveaxis(centers, 1, 0))))
+def _compiled_cells(grid: Grid) -> Callable[[np.ndarray], jax.Array]:
+    """Makes the function `[3 S B] -> [S B]`: the cells of points."""
+    return keep(lambda points: cell_of(grid, list(points)))
 
 
 def margin_function(robot: Robot, grid: Grid) -> Callable[[jax.Array, jax.Array], jax.Array]:
@@ -132,7 +127,7 @@ def edge_table(robot: Robot, grid: Grid, roadmap: Roadmap) -> EdgeTable:
     seen = np.zeros((len(spheres.radii), len(padded)), np.int32)  # [S EF]
     for at in range(0, len(padded), _PLACES):
         block = slice(at, at + _PLACES)
-        seen[:, block] = _compiled_cells(grid)(_compiled_centers(robot)(padded[block]))
+        seen[:, block] = _compiled_cells(grid)(_placed_centers(robot, padded[block]))
     seen = seen[:, : len(places)].reshape(len(seen), len(starts), len(fraction))
     keys, count = _keys(np.moveaxis(seen, 1, 0), spheres.radii)
     order = np.argsort(-count, kind="stable")
