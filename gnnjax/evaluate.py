@@ -173,8 +173,9 @@ def _check_processes(config: EvaluateConfig) -> None:
         )
 
 
+_ARM_FILES = "robot_sha256"
 # What results share that a picture compares.
-_SAME = ("problems", _CHECKSUM, "num_problems", *OF_ARM, "time_limit")
+_SAME = ("problems", _CHECKSUM, "num_problems", *OF_ARM, _ARM_FILES, "time_limit")
 
 
 def _drawing(
@@ -199,7 +200,8 @@ def _drawing(
         theirs = {_CHECKSUM: settings[_CHECKSUM]} | other["settings"]
         if _CHECKSUM not in other["settings"]:
             _LOG.warning("%r of --beside is older and does not tell which problems it had", name)
-        for key in _SAME:
+        told = [key for key in _SAME if key != _ARM_FILES or key in theirs]  # older ones do not
+        for key in told:
             if _shared(theirs, key) != _shared(settings, key):
                 raise InputError(
                     f"{name!r} of --beside has {key} {brief(theirs.get(key))}, not "

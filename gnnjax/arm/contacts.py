@@ -13,6 +13,7 @@ from gnnjax.errors import InputError, perhaps
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SAMPLES = 2000  # configurations
+_OFTEN, _NAMED = 0.5, 2  # share of them in which parts meet that likely may; how many are named
 # Flags of a model that would hide contacts.
 _HIDING = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
@@ -102,7 +103,7 @@ def always_touching(
         home: `[D]` rad or m, if there is one.
         parts: of the arm.
         called: the arm, in messages.
-        remedy: what to do about others, in messages.
+        remedy: what else to do about others than to allow them, in messages.
 
     Raises:
         InputError: others are in contact in all of them.
@@ -135,10 +136,15 @@ def always_touching(
         model.opt.disableflags = flags
     left = [pairs_of_one - always for pairs_of_one in found]
     if all(left):
-        (a, b), count = Counter(pair for one in left for pair in one).most_common(1)[0]
+        counts = Counter(pair for one in left for pair in one).most_common()
+        (a, b), most = counts[0]
+        often = [pair for pair, count in counts if count >= min(most, _OFTEN * _SAMPLES)]
+        named = [tuple(model.body(parts[p].body + 1).name for p in pair) for pair in often]
+        named = list(dict.fromkeys(named))[:_NAMED]
         raise InputError(
             f"{called} collides with itself in all of {_SAMPLES} random configurations, "
-            f"{parts[a].name} with {parts[b].name} in {count}; if they may touch, {remedy}"
+            f"{parts[a].name} with {parts[b].name} in {most}; if they may touch, give "
+            f"allow={named}{remedy}"
         )
     return always
 

@@ -63,7 +63,8 @@ def _loop(model: mujoco.MjModel, e: int) -> set[int]:
     chains = []
     for body in ends:
         chain = set()
-        if not model.body_weldid[body]:
+        carrier = int(model.body_weldid[body])
+        if not carrier or model.body_mocapid[carrier] >= 0:
             return set()
         while body:
             first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])

@@ -26,6 +26,7 @@ from gnnjax.errors import InputError
 
 ONE_TURN = 2 * math.pi + 1e-5  # rad; a range beyond is of a joint that turns more than once
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_NO_FRICTION = int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
 _TRN_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 # What stands for the surroundings where it is fixed to the world.
 _GROUND = {
@@ -62,7 +63,7 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
         check_meshes(path)
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compiler.fusestatic = False  # the base stays a body, and bodies keep their names
-    model, notes = spec.compile(), said
+    model, notes = _plain(spec), said
     check_numbers(model, path)
     if soft := soft_bodies(model):
         raise InputError(
@@ -242,6 +243,25 @@ def _is_motor(model: mujoco.MjModel, a: int) -> bool:
     fixed = model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
     plain = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
     return bool(fixed and plain and model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_NONE)
+
+
+def _plain(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compiles a spec, from which it takes what would change what is added to the arm later: a mass
+    that all is scaled to, and friction that a flag leaves out."""
+    model = spec.compile()
+    if spec.compiler.settotalmass > 0:
+        spec.compiler.settotalmass = -1
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+        for body in spec.bodies:
+            if model.body_mass[body.id] > 0:
+                body.explicitinertial = True
+                for name in ("mass", "ipos", "iquat", "inertia"):
+                    setattr(body, name, getattr(model, f"body_{name}")[body.id])
+    if spec.option.disableflags & _NO_FRICTION:
+        spec.option.disableflags &= ~_NO_FRICTION
+        for each in (*spec.joints, *spec.tendons):
+            each.frictionloss = 0.0
+    return spec.compile()
 
 
 def _torques(model: mujoco.MjModel, planned: list[int]) -> np.ndarray | None:

@@ -14,7 +14,7 @@ MuJoCo's own models and in pictures, "the world" is the base.
 import dataclasses
 import functools
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -172,13 +172,16 @@ def load_robot(
     Raises:
         InputError: unknown name, a broken file, or one that lacks what planning needs.
     """
-    if isinstance(joints, str):
-        raise InputError(f"joints is {joints!r}; give a list of names")
+    if joints is not None and not _are_names(joints):
+        raise InputError(f"joints is {brief(joints)}; give a list of names")
     held = hold or {}
-    numbers = (int, float, np.number)
-    if not isinstance(held, Mapping) or not all(isinstance(x, numbers) for x in held.values()):
+    if (
+        not isinstance(held, Mapping)
+        or not _are_names(list(held))
+        or not all(_is_number(x) for x in held.values())
+    ):
         raise InputError(f'hold is {brief(hold)}; give numbers by names, such as {{"finger": 0.0}}')
-    pairs: tuple = tuple(allow or ())
+    pairs: tuple = tuple(allow or ()) if isinstance(allow, Iterable | None) else (allow,)
     if isinstance(allow, str) or not all(_is_pair(pair) for pair in pairs):
         raise InputError(
             f'allow is {brief(allow)}; give pairs of names of bodies, such as [("hand", "link_4")]'
@@ -195,6 +198,19 @@ def load_robot(
 
 def _is_pair(pair: object) -> bool:
     return isinstance(pair, tuple | list) and len(pair) == 2
+
+
+def _is_number(value: object) -> bool:
+    # Integers may be greater than any float.
+    return isinstance(value, float | np.number) or (isinstance(value, int) and abs(value) < 1e300)
+
+
+def _are_names(values: object) -> bool:
+    return (
+        isinstance(values, Iterable)
+        and not isinstance(values, str)
+        and all(isinstance(value, str) for value in values)
+    )
 
 
 @functools.cache
@@ -249,9 +265,7 @@ def _robot_of(
     tested = self_pairs(model, geom_ids)
     names = [body.name for body in bodies]
     pairs, may = without_bodies(tested, parts, names, allow, path)
-    remedy = "give allow=[(body, body)]" + in_kind(
-        path, mjcf=", or exclude them in the MJCF (<contact><exclude .../>)", urdf=""
-    )
+    remedy = in_kind(path, mjcf=", or exclude them in the MJCF (<contact><exclude .../>)", urdf="")
     touching = always_touching(model, geom_ids, pairs, reading.home, parts, repr(path.name), remedy)
     free = touching | bearings(model, geom_ids, pairs, parts)
     pairs = np.array([two for two in pairs.tolist() if tuple(two) not in free], np.int64)

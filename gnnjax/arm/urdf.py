@@ -30,6 +30,7 @@ _COMPILER = {
     "boundmass": "1e-3",
     "boundinertia": "1e-6",
 }
+_MOVING = ("revolute", "continuous", "prismatic")  # joints that others can mimic
 # What may limit a joint besides its range and effort, and how URDFs write it.
 _LIMITS = {"velocity": ("velocity",), "acceleration": ("acceleration", "drake:acceleration")}
 
@@ -56,11 +57,11 @@ def read_urdf(path: Path) -> Urdf:
         raise InputError(f"{str(path)!r} is no XML: {error}; check the file") from None
     if root.tag != "robot":
         raise InputError(f"{str(path)!r} begins with <{root.tag}>; a URDF begins with <robot>")
-    if b"<xacro:" in path.read_bytes():
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise InputError(
             f"{str(path)!r} holds xacro macros; expand them first (xacro FILE.xacro > FILE.urdf)"
         )
-    _check_mimics(root, path)
+    _check_joints(root, path)
     folders = [path.parent]
     for element in root.findall("mujoco"):
         folders += [path.parent / x.get("meshdir", "") for x in element.findall("compiler")]
@@ -88,6 +89,7 @@ def read_urdf(path: Path) -> Urdf:
                 assets[names[file, scale]] = data
             mesh.set("filename", names[file, scale])
     for limit in root.iterfind("joint/limit"):
+        limit.attrib = {name: value for name, value in limit.attrib.items() if value.strip()}
         if {"lower", "upper"} & limit.attrib.keys():  # of one alone MuJoCo makes no limits
             limit.attrib = {"lower": "0", "upper": "0", **limit.attrib}
     limits = {kind: _limits(root, names) for kind, names in _LIMITS.items()}
@@ -130,15 +132,23 @@ def _no_room(root: ET.Element) -> dict[str, tuple[float, float]]:
     return found
 
 
-def _check_mimics(root: ET.Element, path: Path) -> None:
-    """Refuses joints that mimic none of the joints, which MuJoCo takes for joints of their own."""
-    called = {joint.get("name") for joint in root.findall("joint")}
+def _check_joints(root: ET.Element, path: Path) -> None:
+    """Refuses joints of one name, and those that mimic none of the joints, or one that does not
+    move, which MuJoCo takes for joints of their own."""
+    kinds: dict[str | None, str | None] = {}
+    for joint in root.findall("joint"):
+        name = joint.get("name")
+        if name in kinds:
+            raise InputError(f"{str(path)!r} has two joints {name!r}; rename one of them")
+        kinds[name] = joint.get("type")
     for joint in root.findall("joint"):
         for mimic in joint.findall("mimic"):
-            if mimic.get("joint") not in called:
+            named = mimic.get("joint")
+            if kinds.get(named) not in _MOVING:
+                what = f"is {kinds[named]} and moves nothing" if named in kinds else "is not there"
                 raise InputError(
-                    f"joint {joint.get('name')} of {str(path)!r} mimics {mimic.get('joint')!r}, "
-                    "which is not there; name one of its joints, or take <mimic> out"
+                    f"joint {joint.get('name')} of {str(path)!r} mimics {named!r}, which {what}; "
+                    "name one of its joints that move, or take <mimic> out"
                 )
 
 
@@ -193,11 +203,12 @@ def _load(file: Path) -> tuple[str, bytes]:
         raise InputError(f"mesh {str(file)!r} ends too early; export it again")
     if ending == ".obj":
         return ending, data
-    if ending == ".stl" and data[:5].lower() == b"solid" and b"vertex" in data[:2000]:
-        return ".stl", _hull_stl(_text_stl(data, file), file)
     if ending == ".stl":
         (count,) = struct.unpack_from("<I", data, 80) if len(data) >= 84 else (0,)
         size = 84 + count * _STL_FACE.itemsize
+        text = data[:2000].lower()
+        if len(data) != size and text.lstrip().startswith(b"solid") and b"vertex" in text:
+            return ".stl", _hull_stl(_text_stl(data.lower(), file), file)
         if len(data) < size:
             raise InputError(f"mesh {str(file)!r} ends too early for an STL; export it again")
         if len(data) == size and 0 < count <= _MOST_FACES:

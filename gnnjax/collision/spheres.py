@@ -18,7 +18,6 @@ from gnnjax.arm.kinematics import (
     WORLD,
     Frame,
     Joints,
-    Scalar,
     Vector,
     body_frames,
     dot,
@@ -153,12 +152,14 @@ class Passes:
                 squared = jnp.where(allowed[self._bodies[g]], jnp.inf, squared)
             yield g, squared, ball
 
-    def to_itself(self, joints: Joints, pairs: np.ndarray) -> Iterator[tuple[int, int, Scalar]]:
+    def to_itself(self, joints: Joints, pairs: np.ndarray) -> Iterator[tuple[int, int, jax.Array]]:
         """Of pairs of spheres: their numbers, and their centres' squared distance."""
         points = placed_spheres(self._robot, joints)
         for i, j in pairs.tolist():
             offset = subtract(points[i], points[j])
-            yield i, j, dot(offset, offset)
+            # An array also of spheres that no joint moves against each other, as one on an axis: of
+            # a Python number's comparisons ~ is another integer, and always true.
+            yield i, j, jnp.asarray(dot(offset, offset), jnp.float32)
 
     def over_obstacles(
         self,

@@ -41,7 +41,17 @@ class Obstacles(NamedTuple):
 
 
 _CLOUD = "cloud of points"  # the body that holds it
-_OBSTACLE = {"contype": _ALL_BITS, "conaffinity": _ALL_BITS, "rgba": [0.75, 0.55, 0.35, 1.0]}
+# Whatever an MJCF's <default> has for the arm's geoms.
+_OBSTACLE = {
+    "contype": _ALL_BITS,
+    "conaffinity": _ALL_BITS,
+    "rgba": [0.75, 0.55, 0.35, 1.0],
+    "quat": [1.0, 0.0, 0.0, 0.0],
+    "group": 0,
+    "margin": 0.0,
+    "gap": 0.0,
+    "priority": 0,
+}
 
 
 def build_world(robot: Robot, max_obstacles: int, cloud: Cloud | None = None) -> mujoco.MjModel:
@@ -62,6 +72,7 @@ def world_spec(robot: Robot, max_obstacles: int, cloud: Cloud | None = None) -> 
     """
     spec = robot.mj_spec.copy()
     spec.option.disableflags &= ~_HIDING
+    spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)  # margins of their own
     spec.memory = -1  # as much as the contacts need, whatever the MJCF says
     prefix = "box_"
     while any(x.name.startswith(prefix) for x in (*spec.bodies, *spec.geoms)):
@@ -73,12 +84,14 @@ def world_spec(robot: Robot, max_obstacles: int, cloud: Cloud | None = None) -> 
     for i in range(max_obstacles):
         body = spec.worldbody.add_body(name=f"{prefix}{i}", mocap=True, pos=[FAR_AWAY, 0, i])
         # All bits: an obstacle meets whatever collision group a robot's author chose.
-        body.add_geom(
+        geom = body.add_geom(
             name=f"{prefix}{i}",
             type=mujoco.mjtGeom.mjGEOM_BOX,  # until an obstacle takes its place
+            pos=[0.0, 0.0, 0.0],
             size=[0.1, 0.1, 0.1],
             **_OBSTACLE,
         )
+        geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         # MuJoCo pairs a mocap body with static bodies; that says nothing about a configuration.
         for name in ignored:
             spec.add_exclude(bodyname1=name, bodyname2=body.name)
@@ -100,6 +113,7 @@ def _add_cloud(spec: mujoco.MjSpec, cloud: Cloud, ignored: list[str], paired: li
             size=[radius, 0, 0],
             **_OBSTACLE,
         )
+        geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         for name in paired:
             spec.add_pair(geomname1=name, geomname2=geom.name)
     for name in ignored:

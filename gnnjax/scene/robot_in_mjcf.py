@@ -7,9 +7,10 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.mjcf import collision_geoms
-from gnnjax.arm.parts import part_of_geom
+from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
+from gnnjax.scene.own_points import distances_to_hull
 from gnnjax.scene.pose import Pose, compose, inverse
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -20,6 +21,7 @@ _GROUND = (PLANE, int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _SAME = 1e-6  # m; where a geom of two models is the same
 _SAME_PLACE = 1e-3  # m; where a link of two models hangs in the same place
 _STANDS_OUT = 0.02  # m; two models of one arm differ by less
+_MOST_STEPS = 50  # along the edges of a surface that is looked at
 
 
 def bodies_of(robot: Robot, model: mujoco.MjModel) -> dict[int, int]:
@@ -76,11 +78,31 @@ def stands_out(robot: Robot, body: int, model: mujoco.MjModel, g: int) -> bool:
     own = [part for part in robot.parts if part.body == body - 1]
     if not own:
         return True
-    part = part_of_geom(model, g, robot.path)
-    low = np.min([x.vertices.min(axis=0) - x.radius for x in own], axis=0) - _STANDS_OUT
-    high = np.max([x.vertices.max(axis=0) + x.radius for x in own], axis=0) + _STANDS_OUT
-    inside = (part.vertices - part.radius > low) & (part.vertices + part.radius < high)
-    return not bool(inside.all())
+    points = _surface(part_of_geom(model, g, robot.path))
+    apart = [distances_to_hull(x.vertices, points) - x.radius for x in own]
+    return bool((np.min(apart, axis=0) > _STANDS_OUT).any())
+
+
+def _surface(part: Part) -> np.ndarray:
+    """Points `[K 3]` all over a part's surface, not much farther apart than `_STANDS_OUT`."""
+    from scipy.spatial import ConvexHull  # a fifth of a second
+
+    corners = part.vertices[None]
+    if corners.shape[1] > 3:
+        corners = part.vertices[ConvexHull(part.vertices).simplices]
+    found = []
+    for own in corners:
+        longest = np.linalg.norm(own - np.roll(own, 1, axis=0), axis=1).max()
+        steps = int(np.clip(np.ceil(longest / _STANDS_OUT), 1, _MOST_STEPS))
+        shares = np.indices((steps + 1,) * len(own)).reshape(len(own), -1).T
+        found.append(shares[shares.sum(axis=1) == steps] / steps @ own)
+    points = np.concatenate(found)
+    if part.radius:
+        around = np.indices((3,) * 3).reshape(3, -1).T - 1.0
+        around = around[np.abs(around).sum(axis=1) > 0]
+        around *= part.radius / np.linalg.norm(around, axis=1, keepdims=True)
+        points = (points[:, None] + around).reshape(-1, 3)
+    return points
 
 
 def _keys(model: mujoco.MjModel) -> list[Hashable]:

@@ -120,7 +120,7 @@ def execute_trajectories(
     errors = errors or ModelErrors()
     check_errors(errors)
     check_number(most_error, "most_error")
-    if not most_error > 0:
+    if not 0 < most_error < np.inf:
         raise InputError(f"most_error is {most_error}; give a positive number (rad or m)")
     several = np.ndim(scene.mask) == 2
     if several and len(scene.mask) != len(trajectories):

@@ -11,7 +11,8 @@ with which the stretch is over first.
 Limits are compared at places whose distance is a fraction of an interval of the grid, on either
 side of each leap of the jerk. On straight lines, where the shortest motion is known, this one takes
 no longer where a velocity is reached for as long as the window is, and up to a fifth longer where
-it is not.
+it is not but the acceleration is. Where jerk is so low that neither would be, it takes up to three
+times as long.
 
 A stretch is a curve of its own, of one of few sizes, so that there are few shapes to compile.
 """
@@ -34,6 +35,7 @@ from gnnjax.trajectory.needs import Needs, needs_of
 from gnnjax.trajectory.timing import Timing
 
 _PARTS = np.linspace(0, 1, 5)  # of a piece, at which limits are compared
+_NEWTON = 4  # steps, to when a place is reached
 _WINDOWS = 2.0 ** np.arange(-5, 1.6, 0.5)  # that are tried, shares of one that surely suffices
 
 
@@ -225,15 +227,19 @@ def _samples(curve: Curve, profile: Profile) -> _Samples:
     piece = jnp.repeat(jnp.arange(len(steps)), len(_PARTS))
     since = (steps[:, None] * _PARTS).ravel()
     way, _, _ = profile.after(piece, since)
-    # Where blends begin and end, the third derivative leaps.
-    ends = jnp.concatenate([curve.entries, curve.exits])
-    ends = curve.grid[jnp.where(jnp.tile(curve.blends > 0, 2), ends, 0)]
-    when = jnp.interp(ends, jax.lax.cummax(way), profile.times[piece] + since)
+    # Where blends begin and end, the third derivative leaps; short ones may lie within a piece, and
+    # bend most in their middles. They are at grid points.
+    when = jnp.interp(curve.grid, jax.lax.cummax(way), profile.times[piece] + since)
     more = jnp.clip(jnp.searchsorted(profile.times, when, side="right") - 1, 0, len(steps) - 1)
-    piece = jnp.concatenate([piece, more])
-    since = jnp.concatenate([since, when - profile.times[more]])
+    there = when - profile.times[more]
+    for _ in range(_NEWTON):
+        gone, pace, _ = profile.after(more, there)
+        there += (curve.grid - gone) / jnp.where(pace > 0, pace, jnp.inf)
+        there = jnp.clip(there, 0.0, steps[more])
+    piece, since = jnp.concatenate([piece, more]), jnp.concatenate([since, there])
     _, speed, push = profile.after(piece, since)
-    at = jnp.interp(jnp.append(way, ends), curve.grid, jnp.arange(len(curve.grid)))
+    at = jnp.interp(way, curve.grid, jnp.arange(len(curve.grid)))
+    at = jnp.append(at, jnp.arange(len(curve.grid)))
     return _Samples(at, jnp.maximum(speed, 0.0), push, profile.jerk[piece], steps[piece] > 0)
 
 

@@ -83,17 +83,19 @@ def build_true_world(robot: Robot, scene: Scene, errors: ModelErrors) -> mujoco.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags &= ~(int(_FLAGS.mjDSBL_SENSOR) | int(_FLAGS.mjDSBL_EULERDAMP))
     spec.option.disableflags |= int(_FLAGS.mjDSBL_ACTUATION) | int(_FLAGS.mjDSBL_AUTORESET)
+    ball = None
     if errors.payload:
         inertia = 0.4 * errors.payload * _PAYLOAD_RADIUS**2
-        spec.bodies[last_link(robot) + 1].add_body(
+        ball = spec.bodies[last_link(robot) + 1].add_body(
             mass=errors.payload, inertia=[inertia] * 3, ipos=[0.0, 0.0, 0.0], explicitinertial=True
         )
     spec.add_sensor(type=mujoco.mjtSensor.mjSENS_CONTACT, intprm=_DEEPEST)
     model = spec.compile()
     model.dof_frictionloss += errors.friction
     model.dof_solimp[:, :2] = np.maximum(model.dof_solimp[:, :2], _DRY)
-    model.body_mass *= 1 + errors.mass
-    model.body_inertia *= 1 + errors.mass
+    own = np.arange(model.nbody) != (-1 if ball is None else ball.id)  # without the payload
+    model.body_mass[own] *= 1 + errors.mass
+    model.body_inertia[own] *= 1 + errors.mass
     data = mujoco.MjData(model)
     mujoco.mj_setConst(model, data)
     return placed(model, scene)
@@ -149,8 +151,12 @@ def simulate(
     done, alive, running = np.full(num, total + 1), np.arange(num), list(models)
     workers = [mujoco.MjData(models[0]) for _ in range(min(num_cores(), num))]
     with without_warnings(), Rollout(nthread=len(workers)) as engine:
-        for begin in range(0, total, width):
-            end = min(begin + width, total)
+        end = 0
+        while len(alive):
+            # No part goes beyond the end of a motion, which would depend on what is beside it.
+            begin, end = end, min(end + width, int(steps[alive].min()))
+            if begin < late:
+                end = min(end, late)
             now, behind = slice(begin, end), slice(begin + 1, end + 1)
             seen = slice(begin - late, end - late)
             told = np.repeat(law.before[alive, None], end - begin, axis=1)
@@ -167,8 +173,6 @@ def simulate(
             alive, state = alive[goes_on], after[goes_on, -1]
             if not goes_on.all():
                 running = [models[i] for i in alive.tolist()]
-            if not len(alive):
-                break
     return [
         Run(
             q[i, : last + 1],

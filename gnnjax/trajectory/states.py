@@ -15,6 +15,7 @@ from gnnjax.trajectory.timing import Timing
 from gnnjax.trajectory.trajectory import Trajectory
 
 _DENSER = 10  # moments for each interval of a motion's own, at which its limits are compared
+_SHORTEST = 1e-6  # s; a last step is no shorter
 _SOONEST = 1e-7  # s, between accelerations whose difference is no rounding
 _ROUNDED = 1e-3  # rad or m, of joint limits: people round what they write
 
@@ -51,7 +52,10 @@ def sample_times(trajectory: Trajectory, dt: float) -> np.ndarray:
     """
     if not trajectory.success:
         raise InputError(f"there is no motion to sample: {trajectory.reason}")
-    count = int(np.ceil(trajectory.duration / dt - 1e-9))
+    # The last step may be that much longer, and none is as short that files round it away.
+    count = int(np.ceil((trajectory.duration - _SHORTEST) / dt))
+    if trajectory.duration > 0:
+        count = max(1, count)
     return np.append(np.arange(count) * dt, trajectory.duration)
 
 

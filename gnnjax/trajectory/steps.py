@@ -25,6 +25,8 @@ def at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
         raise InputError(f"the motion takes {last:g} s; up to {_LONGEST:g} s can be simulated")
     times = np.arange(int(np.ceil(last / DT - 1e-9)) + round(HOLD / DT)) * DT
     moving = times < last
+    if accelerations is not None:
+        moving = np.arange(len(times)) < len(positions) - 1
     q, velocity, acceleration = (np.zeros((len(times), robot.num_dof)) for _ in range(3))
     q[:] = positions[-1]
     if accelerations is not None:  # at these very times, and at the last one
