@@ -1,6 +1,7 @@
 """Arms of all kinds: parts of any shape, joints that are held, pairs that always touch."""
 
 import ast
+import inspect
 import logging
 import re
 
@@ -13,6 +14,7 @@ from gnnjax.arm.shipped import assets_dir
 from gnnjax.errors import InputError
 from gnnjax.scene.from_mjcf import scene_from_mjcf
 from gnnjax.scene.own_points import distances_to_hull
+from gnnjax.scene.shapes import box
 from tests.gripper import EQUALITY, same_poses, written
 
 
@@ -379,3 +381,32 @@ def test_shipped_arms_have_the_spheres_that_are_shipped(caplog):
         inner, outer = robot.sphere_inner_radii, robot.sphere_radii
         assert 0.8 < (inner < outer).mean()  # one sphere is a point inside
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"joints": [1, 2]}, r"joints is \[1, 2\]; give a list of names"),
+        ({"joints": 5}, "joints is 5; give a list of names"),
+        ({"hold": {1: 0.1, "a": 0.2}}, "hold is .*; give numbers by names"),
+        ({"hold": {"joint_1": 10**400}}, "hold is .*; give numbers by names"),
+        ({"allow": 5}, "allow is 5; give pairs of names"),
+    ],
+)
+def test_what_is_no_choice_of_joints_is_refused(given, message):
+    with pytest.raises(InputError, match=message):
+        inspect.unwrap(load_robot)("kuka_iiwa14", **given)  # whatever the types are
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute")  # MuJoCo is about to drop it
+def test_masses_that_the_file_scales_to_a_total_stay_where_things_are_added(tmp_path):
+    path = tmp_path / "heavy.xml"
+    path.write_text(
+        '<mujoco><compiler settotalmass="6"/><worldbody><body><joint range="-90 90"/>'
+        '<geom size="0.1"/><body name="hand" pos="0.5 0 0"><joint range="-90 90"/>'
+        '<geom size="0.1"/></body></body></worldbody></mujoco>'
+    )
+    robot = load_robot(path)
+    held = robot.attach("hand", [box([0.2, 0, 0], [0.05, 0.05, 0.05])], mass=2.0)
+    np.testing.assert_allclose(robot.mj_model.body_mass, [0, 3, 3])
+    np.testing.assert_allclose(held.mj_model.body_mass, [0, 3, 3, 2])

@@ -80,3 +80,13 @@ def test_what_a_tendon_or_a_loop_moves_along_is_not_planned_for_where_it_was(
         return
     with pytest.raises(InputError, match=message):
         load_robot(path, **settings)
+
+
+def test_an_arm_that_a_hand_carries_by_a_weld_is_planned_for(tmp_path):
+    path = tmp_path / "carried.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="target" mocap="true"/>'
+        '<body name="link"><joint name="a" range="-90 90"/><geom size="0.1"/></body>'
+        '</worldbody><equality><weld body1="target" body2="link"/></equality></mujoco>'
+    )
+    assert load_robot(path).joint_names == ("a",)

@@ -24,6 +24,7 @@ from gnnjax.trajectory.execution import (
     execute_trajectory,
     motion_clearance,
 )
+from gnnjax.trajectory.files import load_trajectory, save_trajectory
 from gnnjax.trajectory.limits import limits_of
 from gnnjax.trajectory.simulate import DT, ModelErrors, build_true_world
 from gnnjax.trajectory.states import followed, largest_use, sample_trajectory
@@ -368,3 +369,45 @@ def test_no_motion_and_contacts_that_are_meant_are_refused(robot, motion):
         execute_trajectory(robot, scene, motion, torque=TORQUE)
     with pytest.raises(InputError, match="1 motions in 2 scenes"):
         execute_trajectories(robot, stack_scenes([NOTHING, NOTHING]), [motion], torque=TORQUE)
+
+
+def test_a_hair_more_than_whole_steps_is_carried_out_and_saved(robot, tmp_path):
+    path = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    about = time_path(robot, NOTHING, path, velocity=10.0, acceleration=4.0).duration
+    for more in (5e-13, 2e-10):
+        push = 4.0 * (about / (1 + more)) ** 2
+        found = time_path(robot, NOTHING, path, velocity=10.0, acceleration=push)
+        assert 0 < found.duration - 1 < 1e-9
+        assert len(at_steps(robot, found).times) == 1000 + round(0.5 / DT)
+        save_trajectory(robot, found, tmp_path / "motion.json")
+        assert load_trajectory(robot, tmp_path / "motion.json").times[-1] == pytest.approx(1.0)
+
+
+def test_a_batch_whose_motors_are_late_is_as_each_motion_alone(robot):
+    paths = [[[0.0, 0.0, 0.0], [way, way / 2, 0.0]] for way in (0.1, 0.6, 1.2)]
+    motions = [time_path(robot, NOTHING, path, **SPEEDS) for path in paths]
+    errors, how = ModelErrors(delay=0.05), {"torque": 1e4, "most_error": 10.0}
+    together = execute_trajectories(robot, NOTHING, motions, errors=errors, **how)
+    for found, motion in zip(together, motions, strict=True):
+        alone = execute_trajectory(robot, NOTHING, motion, errors=errors, **how)
+        assert found.reason == alone.reason
+        np.testing.assert_array_equal(found.max_error, alone.max_error)
+
+
+def test_a_payload_weighs_what_is_said_whatever_the_masses_are(robot):
+    masses = [
+        build_true_world(robot, NOTHING, ModelErrors(mass=share, payload=2.0)).body_mass
+        for share in (0.0, 0.5)
+    ]
+    np.testing.assert_allclose(masses[1][1:5] / masses[0][1:5], [1.5, 1.5, 1.5, 1])
+
+
+def test_friction_that_a_file_switches_off_can_be_there_all_the_same(tmp_path):
+    path = tmp_path / "smooth.xml"
+    text = TINY.replace('axis="0 0 1"', 'axis="0 0 1" frictionloss="3"')
+    off = '<option><flag frictionloss="disable"/></option>'
+    path.write_text(text.replace("<worldbody>", f"{off}<worldbody>"))
+    smooth = load_robot(path)
+    assert not smooth.mj_model.dof_frictionloss.any()
+    world = build_true_world(smooth, NOTHING, ModelErrors(friction=2.0))
+    assert not world.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS

@@ -392,3 +392,18 @@ def test_files_that_are_no_models_are_refused(tmp_path, text, fault):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(InputError, match=r"no MJCF file at '.*none.xml'; check the path"):
         scene_from_mjcf(tmp_path / "none.xml")
+
+
+@pytest.mark.parametrize("size", ["0.2 0.05 0.3", "0.62 0.02 0.02"])
+def test_what_lies_between_the_posts_of_a_base_is_an_obstacle(tmp_path, size):
+    """Within the box around them, and, of the second, with its corners in them."""
+    base = (
+        '<body name="base"><geom type="box" pos="0.6 0 0" size="0.05 0.05 0.5"/>'
+        '<geom type="box" pos="-0.6 0 0" size="0.05 0.05 0.5"/>{}'
+        '<body name="link" pos="0 0 1"><joint range="-90 90"/><geom size="0.1"/></body></body>'
+    )
+    world = "<mujoco><worldbody>{}</worldbody></mujoco>"
+    robot = load_robot(written(tmp_path, world.format(base.format("")), "arm.xml"))
+    between = f'<geom type="box" size="{size}" pos="0 0 0.1"/>'
+    scene = scene_from_mjcf(written(tmp_path, world.format(base.format(between))), robot=robot)
+    assert kinds_of(scene) == ["box"]

@@ -15,8 +15,10 @@ from gnnjax.collision.fused import obstacles_clear
 from gnnjax.errors import InputError
 from gnnjax.guide.view import choose_points
 from gnnjax.problems.family_problem import arm_reach, tip_positions
+from gnnjax.scene.cloud import point_cloud
 from gnnjax.scene.mujoco_world import build_world, obstacles, place_obstacles
-from gnnjax.scene.scene import make_scene
+from gnnjax.scene.scene import make_scene, scene_from_shapes
+from gnnjax.scene.shapes import box
 
 # A turned and lifted base, geoms in the world beside it, and a body in a frame.
 BASE = 'pos="0.3 -0.2 0.5" quat="0.8 0.1 -0.5 0.3"'
@@ -213,6 +215,34 @@ def test_names_that_obstacles_have_elsewhere_do_not_disturb_them(turned):
     mujoco.mj_kinematics(world, data)
     found = obstacles(world, 10)
     np.testing.assert_allclose(data.geom_xpos[found.geoms[:4]], scene.centers[:4], atol=1e-6)
+
+
+def test_what_a_file_has_its_own_geoms_be_by_default_does_not_move_obstacles(tmp_path):
+    path = tmp_path / "defaults.xml"
+    default = 'pos="0 0 0.3" euler="0 0 1" group="3" margin="0.05" gap="0.05"'
+    arm = '<body><joint range="-1 1"/><geom size="0.1"/></body>'
+    path.write_text(
+        f"<mujoco><default><geom {default}/></default><worldbody>{arm}</worldbody></mujoco>"
+    )
+    cloud = point_cloud([[0.5, 0.0, 0.0]], 0.02)
+    scene = scene_from_shapes([box([0.4, 0.0, 0.0], [0.1, 0.1, 0.1])], clouds=[cloud])
+    world = build_world(load_robot(path), len(scene.mask), scene.cloud)
+    data = mujoco.MjData(world)
+    place_obstacles(world, data, scene)
+    mujoco.mj_kinematics(world, data)
+    first = obstacles(world, len(scene.mask)).geoms[0]
+    np.testing.assert_allclose(data.geom_xpos[first], [0.4, 0, 0], atol=1e-6)
+    of_cloud = slice(first - int(scene.cloud.num), first)
+    points = scene.cloud.points[: int(scene.cloud.num)]
+    np.testing.assert_allclose(data.geom_xpos[of_cloud], points, atol=1e-6)
+    added = slice(of_cloud.start, None)
+    np.testing.assert_allclose(
+        data.geom_xmat[added],
+        np.tile(np.eye(3).ravel(), (len(points) + len(scene.mask), 1)),
+        atol=1e-12,
+    )
+    assert not world.geom_group[added].any()
+    assert not world.geom_margin[added].any()
 
 
 PAIRS = (

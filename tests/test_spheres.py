@@ -72,3 +72,17 @@ def test_a_row_is_of_two_links_and_its_balls_hold_its_spheres(capsules, in_table
         )
         gaps = (apart - capsules.sphere_radii[table.pairs].sum(axis=-1)).min(axis=1)
         assert (gaps >= far - table.reach - 1e-6).all()
+
+
+def test_balls_that_no_joint_moves_against_each_other_are_compared_as_others_are(tmp_path):
+    """Their distance is a number of Python's while kernels are traced."""
+    path = tmp_path / "posts.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body><geom size="0.05"/>'
+        '<body pos="0 0 0.2"><joint axis="0 0 1" range="-3 3"/><geom size="0.05"/>'
+        '<body pos="0 0 0.2"><joint axis="0 1 0" range="-2 2"/><geom size="0.05" pos="0 0 0.2"/>'
+        "</body></body></body></worldbody></mujoco>"
+    )
+    check = jax.jit(make_checker(load_robot(path)).check_configurations)
+    q = random_configurations(np.random.default_rng(0), load_robot(path), 20)
+    assert check(random_boxes(np.random.default_rng(0), 0), q).all()

@@ -416,3 +416,12 @@ def test_steps_that_are_none_are_refused(tiny, dt):
     found = time_path(tiny, NOTHING, [[0, 0, 0], [1, 0, 0]], velocity=1.0, acceleration=1.0)
     with pytest.raises(InputError, match="give a step in seconds"):
         sample_trajectory(tiny, found, dt)
+
+
+@pytest.mark.parametrize("short", [1e-6, 1e-7])
+def test_jerk_is_limited_where_two_points_nearly_are_one(tiny, short):
+    path = [[0.0, 0.0, 0.0], [0.0, short, 0.0], [1.2, short, 1.0]]
+    found = time_path(tiny, NOTHING, path, velocity=1.0, acceleration=5.0, jerk=1.0, torque=1e3)
+    seen = sample_trajectory(tiny, found, 1e-3)
+    leaps = np.abs(np.diff(seen.accelerations, axis=0))[:-1] / 1e-3
+    assert leaps.max() < 1.01

@@ -263,6 +263,11 @@ def test_an_arm_that_others_publish_is_planned_for():
             {"text": '<robot xmlns:xacro="http://x"><xacro:include filename="a"/></robot>'},
             "xacro macros; expand them first",
         ),
+        (
+            {"text": ARM.replace('"grip" type="prismatic"', '"grip" type="fixed"')},
+            "joint follow .* mimics 'grip', which is fixed and moves nothing",
+        ),
+        ({"text": ARM.replace('"elbow"', '"shoulder"')}, "has two joints 'shoulder'; rename"),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_sentence(tmp_path, settings, message):
@@ -312,3 +317,17 @@ def test_an_inertia_that_no_body_can_have_is_no_obstacle(tmp_path):
     text = ARM.replace('izz="0.01" ixy="0"', 'izz="0.01" ixy="0.5"')
     robot = load_robot(package(tmp_path, text=text))
     np.testing.assert_allclose(robot.mj_model.body("upper").inertia, 0.01)
+
+
+def test_macros_in_comments_and_limits_without_a_number_are_none(tmp_path):
+    text = ARM.replace('<link name="world"/>', '<link name="world"/><!-- <xacro:x/> -->')
+    robot = load_robot(package(tmp_path, text=text.replace('lower="-2"', 'lower=""')))
+    assert [robot.joint_lower[0], robot.joint_upper[0]] == [0, 2.5]
+
+
+@pytest.mark.parametrize("change", [bytes.upper, lambda data: b"  " + data])
+def test_text_stls_are_read_however_they_are_written(tmp_path, change):
+    data = change(text_stl(triangles(CORNERS)))
+    plain = load_robot(package(tmp_path / "plain", text_stl(triangles(CORNERS))))
+    part, other = (r.parts[1] for r in (plain, load_robot(package(tmp_path / "other", data))))
+    np.testing.assert_allclose(np.sort(part.vertices, 0), np.sort(other.vertices, 0), atol=1e-6)

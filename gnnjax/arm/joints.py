@@ -144,12 +144,6 @@ def _check_coupled(
     followers = {*fixed}
     for _ in drivers:  # chains of them
         followers |= {j for j, (driver, _) in drivers.items() if driver in followers}
-    for j, (driver, _) in drivers.items():
-        if j in fixed and driver >= 0 and driver not in {*chosen, *followers}:
-            raise InputError(
-                f"joint {names[j]!r} of {str(path)!r} is to be held and follows {names[driver]!r}, "
-                f"which would stay at home; hold that instead: hold={{{names[driver]!r}: ...}}"
-            )
     for tie in couplings.ties:
         open_ones = sorted(tie - chosen - followers)
         for j in sorted(tie & fixed) if open_ones else ():

@@ -23,10 +23,11 @@ def at_steps(robot: Robot, trajectory: Trajectory | Setpoints) -> Setpoints:
     last = float(given[-1])
     if not last <= _LONGEST:
         raise InputError(f"the motion takes {last:g} s; up to {_LONGEST:g} s can be simulated")
-    times = np.arange(int(np.ceil(last / DT - 1e-9)) + round(HOLD / DT)) * DT
-    moving = times < last
+    count = int(np.ceil(last / DT - 1e-9))
     if accelerations is not None:
-        moving = np.arange(len(times)) < len(positions) - 1
+        count = len(positions) - 1
+    times = np.arange(count + round(HOLD / DT)) * DT
+    moving = np.arange(len(times)) < count
     q, velocity, acceleration = (np.zeros((len(times), robot.num_dof)) for _ in range(3))
     q[:] = positions[-1]
     if accelerations is not None:  # at these very times, and at the last one
