@@ -11,7 +11,7 @@ import reprlib
 import select
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn, TextIO, TypeGuard
 
 import jax
 import numpy as np
@@ -38,6 +38,11 @@ class InputError(ValueError):
 
     def __init__(self, message: str):
         super().__init__(one_line(message))
+
+
+def is_list(values: object) -> TypeGuard[Iterable[Any]]:
+    """Whether there are items to go through; a text is no list."""
+    return isinstance(values, Iterable) and not isinstance(values, str)
 
 
 def one_line(text: str, most: int = 299) -> str:

@@ -23,11 +23,18 @@ from gnnjax.errors import (
     run_command,
 )
 from gnnjax.planning.options import PlannerOptions, check_options
+from gnnjax.problems.file import save_problems
+from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.cloud import point_cloud
+from gnnjax.scene.numbers import check_shapes
+from gnnjax.scene.scene import make_scene, scene_from_shapes
 from gnnjax.scene.surfaces import mesh
 from gnnjax.training.run import AGAIN
 from gnnjax.trajectory.options import MotionOptions, check_motion_options
-from gnnjax.trajectory.states import check_step
+from gnnjax.trajectory.simulate import check_errors
+from gnnjax.trajectory.states import check_step, sample_times
+
+EMPTY = make_scene([], [])
 
 
 def with_text(kind: type, name: str) -> SimpleNamespace:
@@ -46,6 +53,12 @@ def with_text(kind: type, name: str) -> SimpleNamespace:
             "hold is .*'a', 1.0.*; gi",
         ),
         (lambda: inspect.unwrap(check_step)("1"), "dt is '1'; give a number"),
+        (lambda: inspect.unwrap(check_shapes)(None, "shapes"), "shapes is None; give a list of"),
+        (lambda: inspect.unwrap(scene_from_shapes)([], clouds=5), "clouds of the scene is 5; give"),
+        (lambda: inspect.unwrap(allow_contacts)(None, EMPTY, 5), "allow is 5; give pairs of names"),
+        (lambda: inspect.unwrap(save_problems)("q.npz", 5), "5 is no ProblemSet; give what"),
+        (lambda: inspect.unwrap(sample_times)(None, 0.1), "a NoneType is no motion; give plan"),
+        (lambda: inspect.unwrap(check_errors)({"mass": 1}), "errors is {'mass': 1}; give Model"),
         (
             lambda: inspect.unwrap(check_motion_options)(None, with_text(MotionOptions, "blend")),
             "blend is '1'; give a number",
@@ -56,7 +69,7 @@ def with_text(kind: type, name: str) -> SimpleNamespace:
         ),
     ],
 )
-def test_what_is_no_number_is_refused(refuse, message):
+def test_values_of_another_kind_are_refused(refuse, message):
     with pytest.raises(InputError, match=message):
         refuse()
 

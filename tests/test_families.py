@@ -23,6 +23,7 @@ from gnnjax.problems.camera import HEIGHT, WIDTH, look_at
 from gnnjax.problems.families import FAMILIES
 from gnnjax.problems.family_problem import arm_reach, sample_family_problem
 from gnnjax.problems.labelled import problem_keys
+from gnnjax.problems.problem import Problem, sample_scene
 from gnnjax.problems.shards import load_problems, read_manifest
 from gnnjax.scene.cloud import Balls, cloud_of, make_cloud
 from gnnjax.scene.lookup import lookup, squared_distance_to
@@ -311,3 +312,11 @@ def test_an_arm_that_a_family_does_not_fit_and_an_unknown_family_are_named(tiny_
     generate_labelled = labelled.generate_labelled.__wrapped__  # as if it was not made before
     with pytest.raises(InputError, match=r"no start and goal for 2 of 2 problems .* 'window'"):
         generate_labelled(robot, 0, family="window")(problem_keys(0, "test", 0, 2, "window"))
+
+    def none_found(key, robot, check, clear):
+        nothing = jnp.zeros(robot.num_dof)
+        return Problem(nothing, nothing, sample_scene(key, clear))
+
+    monkeypatch.setattr(labelled, "sample_problem", none_found)
+    with pytest.raises(InputError, match=r"no start and goal for 2 of 2 problems .* 'paper'"):
+        generate_labelled(robot, 0)(problem_keys(0, "test", 0, 2))

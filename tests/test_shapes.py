@@ -55,7 +55,7 @@ def test_every_consumer_has_all_kinds_and_could_not_do_without_one(consumer, mod
 # What reads the sizes of obstacles and knows no clouds, as another module adds them.
 _WITHOUT_CLOUDS = {
     "collision/mjx.py",  # `collision/cloud.py` adds them to every backend's tests
-    "collision/spheres.py",
+    "collision/placed.py",
     "problems/camera.py",  # sees boxes, for a family that has nothing else
 }
 

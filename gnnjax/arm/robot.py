@@ -14,7 +14,7 @@ MuJoCo's own models and in pictures, "the world" is the base.
 import dataclasses
 import functools
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
 from gnnjax.arm.shipped import assets_dir, find_model, in_kind
 from gnnjax.arm.sources import Written, written
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, brief, is_list
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _LOG = logging.getLogger(__name__)
@@ -181,8 +181,8 @@ def load_robot(
         or not all(_is_number(x) for x in held.values())
     ):
         raise InputError(f'hold is {brief(hold)}; give numbers by names, such as {{"finger": 0.0}}')
-    pairs: tuple = tuple(allow or ()) if isinstance(allow, Iterable | None) else (allow,)
-    if isinstance(allow, str) or not all(_is_pair(pair) for pair in pairs):
+    pairs: tuple = tuple(allow or ()) if allow is None or is_list(allow) else (allow,)
+    if not all(_is_pair(pair) for pair in pairs):
         raise InputError(
             f'allow is {brief(allow)}; give pairs of names of bodies, such as [("hand", "link_4")]'
         )
@@ -206,11 +206,7 @@ def _is_number(value: object) -> bool:
 
 
 def _are_names(values: object) -> bool:
-    return (
-        isinstance(values, Iterable)
-        and not isinstance(values, str)
-        and all(isinstance(value, str) for value in values)
-    )
+    return is_list(values) and all(isinstance(value, str) for value in values)
 
 
 @functools.cache

@@ -99,7 +99,8 @@ def _resting(robot: Robot, limit: tuple[float, ...]) -> Robot:
     if not off.max() <= _SAME * (1e-6 + np.abs(wanted).max()):
         raise InputError(
             f"joint {robot.joint_names[int(off.argmax())]} of {robot.name} is held by other forces "
-            "than gravity and linear springs (tendons, equalities); take them out of the model"
+            "than gravity and linear springs (tendons, equalities), or lacks one of these (by "
+            "<flag>); take the others, and the flags, out of the model"
         )
     return dataclasses.replace(robot, rest_limit=np.array(limit))
 

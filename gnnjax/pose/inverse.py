@@ -78,7 +78,7 @@ def inverse_kinematics(
         InputError: a goal, scene or configuration that is none.
     """
     position, quat = check_goal(goal)
-    if num_solutions < 1:
+    if not isinstance(num_solutions, int | np.integer) or num_solutions < 1:
         raise InputError(f"num_solutions is {num_solutions}; ask for 1 or more")
     check_number(margin, "margin")
     if not margin >= 0:

@@ -57,6 +57,8 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
             obstacles, or one called like an array of each file; a scene in which contacts are
             meant.
     """
+    if not isinstance(problem_set, ProblemSet):
+        raise InputError(f"{brief(problem_set)} is no ProblemSet; give what load_problems returns")
     problem_set.check()
     for name, value in problem_set.extras.items():
         if name in (*_OWN, *_NUMPYS):

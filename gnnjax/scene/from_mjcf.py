@@ -10,7 +10,7 @@ import numpy as np
 from gnnjax.arm.mjcf import collision_geoms, soft_bodies, without_warnings
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.sources import check_meshes
-from gnnjax.errors import InputError, one_line
+from gnnjax.errors import InputError, brief, is_list, one_line
 from gnnjax.scene.cloud import Balls
 from gnnjax.scene.pose import IDENTITY, Pose, compose, inverse, moved, moved_points
 from gnnjax.scene.robot_in_mjcf import (
@@ -98,7 +98,8 @@ def scene_from_mjcf(
     model = _compiled(path, called)
     data = mujoco.MjData(model)
     if keyframe is not None:
-        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)
+        named = isinstance(keyframe, str)
+        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe) if named else -1
         if key < 0:
             known = [model.key(k).name for k in range(model.nkey)]
             raise InputError(f"no keyframe {keyframe!r} in {called}; there are {known}")
@@ -217,8 +218,8 @@ def _named(name: str, ignore: Collection[str]) -> bool:
 
 
 def _check_ignored(model: mujoco.MjModel, ignore: Collection[str], called: str) -> None:
-    if isinstance(ignore, str):
-        raise InputError(f"ignore is {ignore!r}; give a list of names")
+    if not is_list(ignore):
+        raise InputError(f"ignore is {brief(ignore)}; give a list of names")
     bodies = [model.body(b).name for b in range(1, model.nbody)]
     geoms = [model.geom(g).name for g in range(model.ngeom)]
     for name in ignore:

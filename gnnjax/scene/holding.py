@@ -19,7 +19,7 @@ from gnnjax.arm.load import Load
 from gnnjax.arm.mjcf import self_pairs, without_warnings
 from gnnjax.arm.parts import part_of_geom
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief, check_number
+from gnnjax.errors import InputError, brief, check_number, is_list
 from gnnjax.scene.held import Item, add_body, items_from, pose_from
 from gnnjax.scene.numbers import number_of
 from gnnjax.scene.pose import Pose
@@ -192,7 +192,7 @@ def _check(robot: Robot, body: str, allow: Sequence[str]) -> None:
             f"body {body!r} of {robot.name} is moved by no joint; put what it holds into the scene"
         )
     names = ["world", *names]
-    if isinstance(allow, str):
-        raise InputError(f"allow is {allow!r}; give a list of names of bodies")
+    if not is_list(allow):
+        raise InputError(f"allow is {brief(allow)}; give a list of names of bodies")
     if unknown := [name for name in allow if name not in names]:
         raise InputError(f"no body {unknown[0]!r} in {robot.name} to allow; there are {names}")

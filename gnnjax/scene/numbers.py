@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gnnjax.arm.parts import quat_to_matrix
-from gnnjax.errors import InputError, as_typed, brief
+from gnnjax.errors import InputError, as_typed, brief, is_list
 from gnnjax.scene.cloud import MOST_METERS
 from gnnjax.scene.shapes import (
     FIELDS,
@@ -24,7 +24,9 @@ from gnnjax.scene.shapes import (
 
 def check_shapes(shapes: Sequence, called: str) -> None:
     """Refuses what is no list of shapes, and shapes of no kind: nobody would read them."""
-    if isinstance(shapes, Shape) or not all(isinstance(x, Shape) for x in shapes):
+    if isinstance(shapes, Shape) or not (
+        is_list(shapes) and all(isinstance(x, Shape) for x in shapes)
+    ):
         raise InputError(
             f"{called} is {brief(shapes)}; give a list of box(...), sphere(...), ..., and what "
             "mesh(...) and the like make as clouds of a scene"

@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, brief, is_list
 from gnnjax.scene.cloud import Balls, Cloud, make_cloud
 from gnnjax.scene.numbers import check_shapes, sums_from
 from gnnjax.scene.shapes import (
@@ -89,7 +89,9 @@ def scene_from_shapes(
             km, a size that is not positive, a quaternion or normal of zeros.
     """
     check_shapes(shapes, "shapes")
-    if isinstance(clouds, Balls) or not all(isinstance(balls, Balls) for balls in clouds):
+    if isinstance(clouds, Balls) or not (
+        is_list(clouds) and all(isinstance(balls, Balls) for balls in clouds)
+    ):
         raise InputError(
             f"clouds of {source} is {brief(clouds)}; give a list of point_cloud(...), mesh(...), "
             "..."

@@ -123,8 +123,8 @@ def check_dynamics(robot: Robot) -> None:
         joint = int(np.abs(found - wanted).max(axis=0).argmax())
         raise InputError(
             f"joint {robot.joint_names[joint]} of {robot.name} is moved by other forces than "
-            "inertia, gravity, linear springs and damping (tendons, fluids, equalities); take them "
-            "out of the model"
+            "inertia, gravity, linear springs and damping (tendons, fluids, equalities), or lacks "
+            "some of these (by <flag>); take the others, and the flags, out of the model"
         )
 
 

@@ -16,7 +16,7 @@ from mujoco.rollout import Rollout
 from gnnjax.arm.mjcf import without_warnings
 from gnnjax.arm.robot import Robot
 from gnnjax.devices import num_cores
-from gnnjax.errors import InputError, check_number
+from gnnjax.errors import InputError, brief, check_number
 from gnnjax.scene.allowed import last_link
 from gnnjax.scene.mujoco_world import obstacles, place_obstacles, world_spec
 from gnnjax.scene.scene import Scene
@@ -62,6 +62,8 @@ def check_errors(errors: ModelErrors) -> None:
     Raises:
         InputError: naming the value and what it may be.
     """
+    if not isinstance(errors, ModelErrors):
+        raise InputError(f"errors is {brief(errors)}; give ModelErrors(mass=0.1, ...)")
     allowed = {
         "mass": (-0.9, 10.0, "a share, such as 0.1"),
         "friction": (0.0, np.inf, "N m or N"),

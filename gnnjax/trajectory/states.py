@@ -50,6 +50,8 @@ def sample_times(trajectory: Trajectory, dt: float) -> np.ndarray:
     Raises:
         InputError: no motion.
     """
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(f"a {type(trajectory).__name__} is no motion; give plan.trajectory")
     if not trajectory.success:
         raise InputError(f"there is no motion to sample: {trajectory.reason}")
     # The last step may be that much longer, and none is as short that files round it away.
