@@ -249,7 +249,9 @@ def _plain(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Compiles a spec, from which it takes what would change what is added to the arm later: a mass
     that all is scaled to, and friction that a flag leaves out."""
     model = spec.compile()
-    if spec.compiler.settotalmass > 0:
+    is_scaled = spec.compiler.settotalmass > 0
+    is_smooth = bool(spec.option.disableflags & _NO_FRICTION)
+    if is_scaled:
         spec.compiler.settotalmass = -1
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
         for body in spec.bodies:
@@ -257,11 +259,11 @@ def _plain(spec: mujoco.MjSpec) -> mujoco.MjModel:
                 body.explicitinertial = True
                 for name in ("mass", "ipos", "iquat", "inertia"):
                     setattr(body, name, getattr(model, f"body_{name}")[body.id])
-    if spec.option.disableflags & _NO_FRICTION:
+    if is_smooth:
         spec.option.disableflags &= ~_NO_FRICTION
         for each in (*spec.joints, *spec.tendons):
             each.frictionloss = 0.0
-    return spec.compile()
+    return spec.compile() if is_scaled or is_smooth else model
 
 
 def _torques(model: mujoco.MjModel, planned: list[int]) -> np.ndarray | None:
