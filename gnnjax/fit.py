@@ -19,6 +19,7 @@ from rich.table import Table
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.covers import Rows, cover_file, save_cover
+from gnnjax.arm.mjcf import keep_inertias
 from gnnjax.arm.robot import Robot
 from gnnjax.arm_options import JointOptions, load_bare_arm
 from gnnjax.errors import InputError, needs_extra, run_command
@@ -88,7 +89,7 @@ def mjcf_of_spheres(robot: Robot) -> str:
     """The MJCF of an arm that collides as its cover."""
     spec, model = robot.mj_spec.copy(), robot.mj_model
     spec.compile()  # for the ids
-    _keep_inertias(spec, model)
+    keep_inertias(spec, model)
     bodies = {body.id: body for body in spec.bodies}
     geoms = {geom.id: geom for geom in spec.geoms}
     for number, (part, g) in enumerate(zip(robot.parts, robot.part_geoms.tolist(), strict=True)):
@@ -130,17 +131,6 @@ def mjcf_of_spheres(robot: Robot) -> str:
         spec.add_key(name="home", qpos=robot.home.astype(float))
     spec.compile()
     return spec.to_xml()
-
-
-def _keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Writes down the inertias, which MuJoCo may have found from the geoms."""
-    for body in spec.bodies:
-        if body.id and model.body_mass[body.id] > 0:
-            body.explicitinertial = True
-            body.mass = float(model.body_mass[body.id])
-            body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
-            body.inertia = model.body_inertia[body.id]
-            body.fullinertia = np.full(6, np.nan)  # none
 
 
 def main() -> None:

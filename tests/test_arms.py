@@ -403,10 +403,13 @@ def test_masses_that_the_file_scales_to_a_total_stay_where_things_are_added(tmp_
     path = tmp_path / "heavy.xml"
     path.write_text(
         '<mujoco><compiler settotalmass="6"/><worldbody><body><joint range="-90 90"/>'
+        '<inertial mass="1" pos="0 0 0" fullinertia="1 1 1 0.1 0 0"/>'
         '<geom size="0.1"/><body name="hand" pos="0.5 0 0"><joint range="-90 90"/>'
         '<geom size="0.1"/></body></body></worldbody></mujoco>'
     )
     robot = load_robot(path)
     held = robot.attach("hand", [box([0.2, 0, 0], [0.05, 0.05, 0.05])], mass=2.0)
-    np.testing.assert_allclose(robot.mj_model.body_mass, [0, 3, 3])
-    np.testing.assert_allclose(held.mj_model.body_mass, [0, 3, 3, 2])
+    ball = 4000 / 3 * np.pi * 0.1**3  # kg, as the second link has none of its own
+    masses = 6 / (1 + ball) * np.array([0, 1, ball])
+    np.testing.assert_allclose(robot.mj_model.body_mass, masses)
+    np.testing.assert_allclose(held.mj_model.body_mass, [*masses, 2])

@@ -217,13 +217,18 @@ def test_names_that_obstacles_have_elsewhere_do_not_disturb_them(turned):
     np.testing.assert_allclose(data.geom_xpos[found.geoms[:4]], scene.centers[:4], atol=1e-6)
 
 
-def test_what_a_file_has_its_own_geoms_be_by_default_does_not_move_obstacles(tmp_path):
+@pytest.mark.parametrize("place", ['pos="0 0 0.3" euler="0 0 70"', 'fromto="0 0 0 0 0 1"'])
+def test_what_a_file_has_its_own_geoms_be_by_default_does_not_move_others(tmp_path, place):
     path = tmp_path / "defaults.xml"
-    default = 'pos="0 0 0.3" euler="0 0 1" group="3" margin="0.05" gap="0.05"'
-    arm = '<body><joint range="-1 1"/><geom size="0.1"/></body>'
+    default = f'{place} group="3" margin="0.05" gap="0.05"'
+    arm = '<body name="arm"><joint range="-1 1"/><geom size="0.1 0.1" type="capsule"/></body>'
     path.write_text(
         f"<mujoco><default><geom {default}/></default><worldbody>{arm}</worldbody></mujoco>"
     )
+    held = load_robot(path).attach("arm", [box([0.2, 0.0, 1.0], [0.3, 0.05, 0.05])])
+    ends = [[-0.1, -0.05, 0.95], [0.5, 0.05, 1.05]]
+    spanned = [f(held.parts[-1].vertices, axis=0) for f in (np.min, np.max)]
+    np.testing.assert_allclose(spanned, ends, atol=1e-6)
     cloud = point_cloud([[0.5, 0.0, 0.0]], 0.02)
     scene = scene_from_shapes([box([0.4, 0.0, 0.0], [0.1, 0.1, 0.1])], clouds=[cloud])
     world = build_world(load_robot(path), len(scene.mask), scene.cloud)

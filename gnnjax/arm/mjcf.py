@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,6 +17,14 @@ _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Of a joint's range, rad or m: sixteen turns. The tables of points along an edge grow with it.
 _MOST_RANGE = 100.0
 _MOST_METERS = 1e4  # of any length of an arm; single precision has lost a millimetre there
+_PLAIN = {  # geoms
+    "pos": [0.0, 0.0, 0.0],
+    "quat": [1.0, 0.0, 0.0, 0.0],
+    "group": 0,
+    "margin": 0.0,
+    "gap": 0.0,
+    "priority": 0,
+}
 
 
 @contextlib.contextmanager
@@ -62,6 +71,25 @@ def move_to_base(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         if element.frame is None and element is not frame:
             element.set_frame(frame)
     spec.option.gravity = gravity
+
+
+def keep_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Writes the inertias down that MuJoCo has found: from geoms, say, or to make up a total."""
+    for body in spec.bodies:
+        if body.id and model.body_mass[body.id] > 0:
+            body.explicitinertial = True
+            body.mass = float(model.body_mass[body.id])
+            body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
+            body.inertia = model.body_inertia[body.id]
+            body.fullinertia = np.full(6, np.nan)  # none
+
+
+def add_geom(body: mujoco.MjsBody, **how: Any) -> mujoco.MjsGeom:
+    """Adds a geom that is just as it is given, whatever `<default>` has the file's own geoms be."""
+    geom = body.add_geom(**_PLAIN | how)
+    geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    geom.fromto = np.full(6, np.nan)  # none
+    return geom
 
 
 def check_numbers(model: mujoco.MjModel, path: Path) -> None:

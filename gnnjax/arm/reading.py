@@ -14,6 +14,7 @@ from gnnjax.arm.joints import MOVED, choose_joints, hold_joints, joint_name
 from gnnjax.arm.mjcf import (
     check_numbers,
     collision_geoms,
+    keep_inertias,
     links_never_meet,
     move_to_base,
     self_pairs,
@@ -254,11 +255,7 @@ def _plain(spec: mujoco.MjSpec) -> mujoco.MjModel:
     if is_scaled:
         spec.compiler.settotalmass = -1
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-        for body in spec.bodies:
-            if model.body_mass[body.id] > 0:
-                body.explicitinertial = True
-                for name in ("mass", "ipos", "iquat", "inertia"):
-                    setattr(body, name, getattr(model, f"body_{name}")[body.id])
+        keep_inertias(spec, model)
     if is_smooth:
         spec.option.disableflags &= ~_NO_FRICTION
         for each in (*spec.joints, *spec.tendons):

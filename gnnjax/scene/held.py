@@ -9,6 +9,7 @@ import numpy as np
 from gnnjax.arm.blocks import box_cover, cylinder_cover
 from gnnjax.arm.covers import OVERSHOOT, chain_cover
 from gnnjax.arm.fit import Cover
+from gnnjax.arm.mjcf import add_geom
 from gnnjax.arm.parts import Part, quat_to_matrix
 from gnnjax.errors import InputError, brief
 from gnnjax.scene.numbers import check_shapes, sums_from, unit_quats
@@ -134,7 +135,8 @@ def add_body(
             "quat": item.pose.quat,
             "size": item.size,
         }
-        body.add_geom(
+        add_geom(
+            body,
             name=names[-1],
             mass=0.0,
             contype=_ALL_BITS,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from gnnjax.arm.mjcf import add_geom
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.scene.allowed import refuse_allowed
@@ -41,17 +42,7 @@ class Obstacles(NamedTuple):
 
 
 _CLOUD = "cloud of points"  # the body that holds it
-# Whatever an MJCF's <default> has for the arm's geoms.
-_OBSTACLE = {
-    "contype": _ALL_BITS,
-    "conaffinity": _ALL_BITS,
-    "rgba": [0.75, 0.55, 0.35, 1.0],
-    "quat": [1.0, 0.0, 0.0, 0.0],
-    "group": 0,
-    "margin": 0.0,
-    "gap": 0.0,
-    "priority": 0,
-}
+_OBSTACLE = {"contype": _ALL_BITS, "conaffinity": _ALL_BITS, "rgba": [0.75, 0.55, 0.35, 1.0]}
 
 
 def build_world(robot: Robot, max_obstacles: int, cloud: Cloud | None = None) -> mujoco.MjModel:
@@ -84,14 +75,13 @@ def world_spec(robot: Robot, max_obstacles: int, cloud: Cloud | None = None) -> 
     for i in range(max_obstacles):
         body = spec.worldbody.add_body(name=f"{prefix}{i}", mocap=True, pos=[FAR_AWAY, 0, i])
         # All bits: an obstacle meets whatever collision group a robot's author chose.
-        geom = body.add_geom(
+        add_geom(
+            body,
             name=f"{prefix}{i}",
             type=mujoco.mjtGeom.mjGEOM_BOX,  # until an obstacle takes its place
-            pos=[0.0, 0.0, 0.0],
             size=[0.1, 0.1, 0.1],
             **_OBSTACLE,
         )
-        geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         # MuJoCo pairs a mocap body with static bodies; that says nothing about a configuration.
         for name in ignored:
             spec.add_exclude(bodyname1=name, bodyname2=body.name)
@@ -106,14 +96,14 @@ def _add_cloud(spec: mujoco.MjSpec, cloud: Cloud, ignored: list[str], paired: li
     body = spec.worldbody.add_body(name=_CLOUD, mocap=True)
     radius = float(cloud.radius)
     for i, point in enumerate(np.asarray(cloud.points[: int(cloud.num)], float)):
-        geom = body.add_geom(
+        geom = add_geom(
+            body,
             name=f"{_CLOUD} {i}",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             pos=point,
             size=[radius, 0, 0],
             **_OBSTACLE,
         )
-        geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         for name in paired:
             spec.add_pair(geomname1=name, geomname2=geom.name)
     for name in ignored:
