@@ -1,20 +1,25 @@
 """Parts as they are: what spheres leave open, against MuJoCo's C engine."""
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
 from experiments.engine import Engine
+from gnnjax.arm.hulls import simpler_hulls
 from gnnjax.arm.robot import load_robot
 from gnnjax.collision.certify import certify_edges
 from gnnjax.collision.checker import make_checker
 from gnnjax.collision.clearances import clearances
 from gnnjax.collision.sequences import Items, SequenceTester
+from gnnjax.planning.load import make_planner
+from gnnjax.planning.options import PlannerOptions
+from gnnjax.problems.problem import Problem
 from gnnjax.scene.allowed import allow_contacts
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.mujoco_world import deepest_contact
-from gnnjax.scene.scene import Scene, scene_from_shapes
+from gnnjax.scene.scene import Scene, make_scene, scene_from_shapes
 from gnnjax.scene.shapes import box, capsule, cylinder, half_space, sphere
 from tests.arms import CRANE
 
@@ -179,3 +184,49 @@ def test_what_configurations_prove_of_edges_is_what_testing_their_points_finds(c
         assert num // 8 < expected.sum() < 7 * num // 8
         more += (expected & (clearances(crane, plain, (starts + ends) / 2, most=0.0) < 0)).sum()
     assert more > 0 or not allow
+
+
+def small_arm(folder, lift: str):
+    """An arm of two balls of 16 mm, cut from meshes, of which the second slides up and away."""
+    ball = np.random.default_rng(0).normal(size=(200, 3))
+    ball = 0.008 * ball / np.linalg.norm(ball, axis=1, keepdims=True)
+    vertices = np.concatenate([ball, [[0, 0, 0.008], [0, 0, -0.008]]]).reshape(-1)
+    path = folder / "small.xml"
+    path.write_text(
+        f"""<mujoco model="small"><compiler angle="radian"/>
+        <asset><mesh name="ball" vertex="{" ".join(f"{x:.9f}" for x in vertices)}"/></asset>
+        <worldbody><body name="low"><joint name="turn" axis="1 0 0" range="-1 1"/>
+          <geom type="mesh" mesh="ball"/>
+          <body name="between"><joint name="lift" type="slide" axis="0 0 1" range="{lift}"/>
+            <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+            <body name="high"><joint name="roll" axis="0 0 1" range="-1 1"/>
+              <geom type="mesh" mesh="ball"/></body></body></body></worldbody></mujoco>"""
+    )
+    return load_robot(path)
+
+
+def test_parts_of_a_small_arm_may_come_near_each_other(tmp_path):
+    small = small_arm(tmp_path, "0.0161 0.05")
+    vertices, radii = simpler_hulls(small)
+    assert len(vertices[0]) < 200
+    assert (radii < 0.02 * 0.0161).all()
+    scene = make_scene([], [])
+    q = np.zeros((2, 3), np.float32)
+    q[:, 1] = 0.0164, 0.0168  # 0.4 and 0.8 mm apart
+    assert (clearances(small, scene, q, most=0.0) > 0).all()
+    valid = make_checker(small).check_configurations(scene, jnp.asarray(q))
+    assert valid.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("gap", [0.1, 0.4])  # mm; refused at once, and by the search's tests
+def test_an_end_that_is_too_near_to_a_contact_is_named_with_what_is_near(tmp_path, gap):
+    small = small_arm(tmp_path, f"0.01609 {0.016 + 1.1e-3 * gap}")
+    scene = scene_from_shapes([box([0.3, 0, 0], [0.1, 0.1, 0.1])])
+    planner = make_planner(small, PlannerOptions())
+    lift = 0.016 + 1e-3 * gap
+    starts = np.array([[-0.5, lift, 0]], np.float32)
+    (plan,) = planner.plan_batch(Problem(starts, -starts * [1, -1, 1], stack_scenes([scene])))
+    assert plan.valid == (gap > 0.25)
+    assert not plan.success
+    assert f"number 0 of low and number 1 of high are {gap} mm apart" in plan.reason
+    assert "at start" in plan.reason

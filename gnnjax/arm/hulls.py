@@ -9,7 +9,9 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.kept import kept_result
 
-SIMPLER = 2e-3  # m; by which the hulls that are tested may stand out of the true ones
+# By how much the hulls that are tested may stand out of the true ones, m; and by no more than this
+# share of their longest side, or the parts of a small arm would touch each other always.
+SIMPLER, _SHARE = 2e-3, 0.02
 _SLACK = 1e-6  # m; on the ball, for rounding
 
 
@@ -67,10 +69,14 @@ def simplify(
 def simpler_hulls(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Vertices `[T V 3]` and radii `[T]` of the arm's parts, with few vertices each, which stand
     out by `SIMPLER` at most; a second of work that kernels and certificates share."""
-    simple = [
-        (p.vertices, 0.0) if len(p.vertices) <= 8 else kept_result(simplify, p.vertices, SIMPLER)
-        for p in robot.parts
-    ]
+
+    def simpler(vertices: np.ndarray) -> tuple[np.ndarray, float]:
+        if len(vertices) <= 8:
+            return vertices, 0.0
+        longest = float(np.ptp(vertices, axis=0).max())
+        return kept_result(simplify, vertices, min(SIMPLER, max(_SHARE * longest, 2 * _SLACK)))
+
+    simple = [simpler(p.vertices) for p in robot.parts]
     most = max(len(vertices) for vertices, _ in simple)
     vertices = [np.pad(v, ((0, most - len(v)), (0, 0)), "edge") for v, _ in simple]
     radii = [p.radius + more for p, (_, more) in zip(robot.parts, simple, strict=True)]

@@ -61,7 +61,9 @@ class Run:
             if self.wanted.any():
                 self._search()
                 cut_short(batch, np.flatnonzero(self.wanted))
-        return batch.plans([self._reason(i) for i in range(len(every))])
+        without = [i for i, path in enumerate(batch.paths) if path is None]
+        reasons = {i: self._reason(i) for i in without} | batch.narrow_ends(without)
+        return batch.plans([reasons.get(i, "") for i in range(len(every))])
 
     @property
     def _on_roadmaps(self) -> bool:

@@ -25,6 +25,7 @@ from gnnjax.trajectory.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
 
+_NEAR = 0.05  # m; no test takes what is farther apart for a contact
 # m; how far what the base stands on may reach into it.
 BASE_CONTACT = 0.005
 
@@ -247,11 +248,22 @@ def _end_reasons(
                 "choose another one, or less margin"
             )
         else:
+            near = nearest_things(robot, jax.tree.map(lambda x, i=i: x[i], scenes), q[i])
             reasons[i] = (
-                f"{name} {rounded} is so near to a contact that none can be ruled out; choose one "
-                "that has a tenth of a millimetre more room"
+                f"at {name} {rounded} {near or 'no contact can be ruled out'}; choose one that "
+                "leaves them more room"
             )
     return reasons
+
+
+def nearest_things(robot: Robot, scene: Scene, q: np.ndarray) -> str | None:
+    """What is nearest to each other at a configuration `[D]` of one scene that is free by less than
+    tests can tell, for a message; None where nothing is near."""
+    near = deepest_contact(robot, scene, q, within=_NEAR)
+    return near and (
+        f"{near.first} and {near.second} are {1e3 * max(0.0, -near.depth):.2g} mm apart, too "
+        "little for a contact to be ruled out"
+    )
 
 
 def _is_hinge(robot: Robot, joint: int) -> bool:

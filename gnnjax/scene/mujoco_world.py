@@ -184,9 +184,18 @@ class Contact(NamedTuple):
     depth: float  # m
 
 
-def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None:
+def deepest_contact(
+    robot: Robot, scene: Scene, q: np.ndarray, within: float = 0.0
+) -> Contact | None:
     """What is in collision at a configuration `[D]` of one scene: by the C engine, or, with its
-    cloud, by the distances of points to the arm's parts."""
+    cloud, by the distances of points to the arm's parts.
+
+    Args:
+        robot: the arm.
+        scene: one scene.
+        q: configuration.
+        within: what is apart by less, m, is told too, and has a negative depth.
+    """
     model = _cached_world(robot, len(scene.mask))
     data = mujoco.MjData(model)
     place_obstacles(model, data, scene._replace(cloud=None, allowed=None))
@@ -194,22 +203,22 @@ def deepest_contact(robot: Robot, scene: Scene, q: np.ndarray) -> Contact | None
     mujoco.mj_kinematics(model, data)
     parts, names = robot.part_geoms.tolist(), [part.name for part in robot.parts]
     found = [
-        (depth_of(model, data, parts[a], parts[b]), names[a], names[b])
+        (depth_of(model, data, parts[a], parts[b], within), names[a], names[b])
         for a, b in robot.part_pairs.tolist()
     ]
     placed = obstacles(model, len(scene.mask)).geoms
     moving = [number for number, g in enumerate(parts) if _is_moved(model, g)]
     for i in np.flatnonzero(scene.mask).tolist():
         found += [
-            (depth_of(model, data, parts[number], int(placed[i])), names[number], i)
+            (depth_of(model, data, parts[number], int(placed[i]), within), names[number], i)
             for number in moving
             if not _is_meant(scene, i, robot.parts[number].body)
         ]
-    depth, part = _depth_in_cloud(robot, scene, model, data, moved=True)
-    if depth > 0:
+    depth, part = _depth_in_cloud(robot, scene, model, data, moved=True, within=within)
+    if depth > -within:
         found.append((depth, part, "the cloud"))
-    depth, first, second = max(found, key=lambda one: one[0], default=(0.0, "", ""))
-    if depth <= 0:
+    depth, first, second = max(found, key=lambda one: one[0], default=(-within, "", ""))
+    if depth <= -within:
         return None
     return Contact(
         first, obstacle_name(scene, second) if isinstance(second, int) else second, depth
@@ -237,11 +246,17 @@ def depth_in_base(robot: Robot, scene: Scene, i: int) -> float:
 
 
 def _depth_in_cloud(
-    robot: Robot, scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, *, moved: bool
+    robot: Robot,
+    scene: Scene,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    *,
+    moved: bool,
+    within: float = 0.0,
 ) -> tuple[float, str]:
     """How far a cloud reaches into the parts that joints move, or that none moves, m; and into
-    which part."""
-    deepest = 0.0, ""
+    which part. Gaps below `within` are negative depths."""
+    deepest = -within, ""
     if scene.cloud is None or not int(scene.cloud.num):
         return deepest
     points, ball = np.asarray(scene.cloud.points[: int(scene.cloud.num)], float), scene.cloud.radius
@@ -250,7 +265,8 @@ def _depth_in_cloud(
         if _is_moved(model, g) != moved:
             continue
         seen = (points - data.xpos[body]) @ data.xmat[body].reshape(3, 3)
-        low, high = part.vertices.min(axis=0) - reach, part.vertices.max(axis=0) + reach
+        far = reach + within
+        low, high = part.vertices.min(axis=0) - far, part.vertices.max(axis=0) + far
         near = seen[((seen > low) & (seen < high)).all(axis=1)]
         if len(near):
             depth = reach - float(distances_to_hull(part.vertices, near).min())
@@ -267,9 +283,12 @@ def _is_moved(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.body_weldid[model.geom_bodyid[geom]])
 
 
-def depth_of(model: mujoco.MjModel, data: mujoco.MjData, first: int, second: int) -> float:
-    """How far two geoms overlap, m; 0 or less where they do not."""
-    return -mujoco.mj_geomDistance(model, data, first, second, 1e-3, None)
+def depth_of(
+    model: mujoco.MjModel, data: mujoco.MjData, first: int, second: int, within: float = 0.0
+) -> float:
+    """How far two geoms overlap, m; 0 or less where they do not, and by how much they are apart
+    where that is less than `within`."""
+    return -mujoco.mj_geomDistance(model, data, first, second, within + 1e-3, None)
 
 
 @functools.lru_cache(maxsize=8)
