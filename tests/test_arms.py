@@ -126,6 +126,26 @@ def test_a_joint_without_limits_gets_half_a_turn_either_way(tmp_path, caplog):
     np.testing.assert_allclose([again.joint_lower[0], again.joint_upper[0]], [-np.pi, np.pi])
 
 
+def test_a_slide_without_limits_is_held_and_that_is_said(tmp_path):
+    slide = '<body name="cart"><joint name="drive" type="slide" axis="1 0 0"/><geom size="0.01"/>'
+    turn = '<body><joint name="turn" axis="0 0 1" range="-90 90"/><geom size="0.1"/></body>'
+    for name, links in (("cart", slide + turn), ("alone", slide)):
+        text = f"<mujoco><worldbody>{links}</body></worldbody></mujoco>"
+        (tmp_path / f"{name}.xml").write_text(text)
+    robot = load_robot(tmp_path / "cart.xml")
+    assert robot.joint_names == ("turn",)
+    assert robot.held == {"drive": 0.0}
+    assert "slides without limits are held where they are: drive" in robot.notes
+    further = load_robot(tmp_path / "cart.xml", hold={"drive": 2.0})
+    assert further.held == {"drive": 2.0}
+    assert not [note for note in further.notes if "without limits" in note]
+    endless = r"joint drive of .* has no limits; give it range=.*, or hold it"
+    with pytest.raises(InputError, match=endless):
+        load_robot(tmp_path / "cart.xml", joints=["drive", "turn"])
+    with pytest.raises(InputError, match=endless):
+        load_robot(tmp_path / "alone.xml")
+
+
 def test_a_floor_is_no_part_of_the_arm_and_that_is_said(tmp_path, caplog):
     robot = load_robot(written(tmp_path))
     assert "no part of the arm, and left out: plane floor; put it into the scene" in caplog.text

@@ -49,7 +49,8 @@ def choose_joints(
         model: the whole arm.
         path: for messages.
         joints: names of those to plan for, in the order of the model; by default all that are
-            neither in `hold` nor coupled to others by an equality, a tendon or a loop.
+            neither in `hold` nor coupled to others by an equality, a tendon or a loop, but for
+            slides without limits, most of which place a base.
         hold: values, in rad or m, by name. Others that are not planned for are held where the
             keyframe "home" has them, or at their reference, or where their coupling puts them.
 
@@ -74,6 +75,7 @@ def choose_joints(
     if joints is None:
         coupled = couplings.joints
         chosen = [j for j in range(model.njnt) if names[j] not in hold and j not in coupled]
+        chosen = [j for j in chosen if j not in endless_slides(model)] or chosen
         if model.njnt and not chosen:
             raise InputError(
                 f"all joints of {str(path)!r} are held or coupled to others; name those to plan "
@@ -111,6 +113,11 @@ def choose_joints(
             f"others have it; give a value, hold={{{name!r}: ...}}"
         )
     return Choice(chosen, held)
+
+
+def endless_slides(model: mujoco.MjModel) -> list[int]:
+    """The slides without limits, by id: what they move can be planned for nowhere in particular."""
+    return np.flatnonzero((model.jnt_type == _SLIDE) & (model.jnt_limited == 0)).tolist()
 
 
 def _check_coupled(

@@ -128,7 +128,8 @@ def check_joints(model: mujoco.MjModel, path: Path) -> None:
             )
         if not model.jnt_limited[j]:
             raise InputError(
-                f'joint {name} of {str(path)!r} has no limits; give it range="lower upper"'
+                f'joint {name} of {str(path)!r} has no limits; give it range="lower upper", or '
+                f"hold it, hold={{{name!r}: ...}}"
             )
         lower, upper = model.jnt_range[j].astype(np.float32)
         if not 0 < upper - lower <= _MOST_RANGE:  # NaN and infinity fail this, too

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from gnnjax.arm.contacts import pair_explicitly
-from gnnjax.arm.joints import MOVED, choose_joints, hold_joints, joint_name
+from gnnjax.arm.joints import MOVED, choose_joints, endless_slides, hold_joints, joint_name
 from gnnjax.arm.mjcf import (
     check_numbers,
     collision_geoms,
@@ -110,6 +110,10 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     if endless:
         names = ", ".join(joint_name(model, j) for j in endless)
         notes.append(f"joints without limits are planned within half a turn either way: {names}")
+    names = [joint_name(model, j) for j in endless_slides(model) if j in choice.held]
+    if joints is None and (left := [name for name in names if name not in hold]):
+        names = ", ".join(left)
+        notes.append(f"slides without limits are held where they are: {names}")
     turning = [
         j
         for j in choice.planned
