@@ -75,3 +75,11 @@ def test_batch_is_single_configurations(odd_path):
         single = forward_kinematics(robot, q[b])
         for whole, part in zip(batch, single, strict=True):
             np.testing.assert_allclose(whole[b], part, atol=1e-6)
+
+
+def test_lists_and_whole_numbers_are_configurations_too(odd_path):
+    robot = load_robot(odd_path)
+    zeros = forward_kinematics(robot, jnp.zeros(robot.num_dof))
+    for given in ([0] * robot.num_dof, np.zeros(robot.num_dof), jnp.zeros(robot.num_dof, int)):
+        found = forward_kinematics(robot, given)
+        jax.tree.map(np.testing.assert_array_equal, found, zeros)

@@ -254,6 +254,7 @@ GOOD = PoseGoal([0.5, 0.0, 0.3], [1.0, 0.0, 0.0, 0.0])
         ({"free": ["rx", "ry"]}, r"\['rx', 'ry'\] free; give one axis of turns, or all three"),
         ({"free": ["x", "y", "z", "rx", "ry", "rz"]}, "all axes free, and asks for nothing"),
         ({"tolerance": (0.0, 0.1)}, "the tolerance is .* both above 0"),
+        ({"frame": ["hook"]}, r"the frame is \['hook'\]; give the name of a site or body"),
         ({"frame": "hook"}, r"no site or body 'hook' in tiny; there are \['upper', 'middle', 'low"),
     ],
 )

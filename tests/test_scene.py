@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import gnnjax.scene.scene_file
 from gnnjax.errors import InputError
 from gnnjax.problems.problem import sample_scene
+from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.numbers import rotation_of
 from gnnjax.scene.scene import (
     OBSTACLE_BUCKETS,
@@ -105,6 +106,8 @@ def test_padding_keeps_the_boxes_of_a_batch():
     assert not padded.mask[:, 10:].any()
     with pytest.raises(InputError, match="room for 10 obstacles, more than 4"):
         pad_scene(batch, 4)
+    with pytest.raises(InputError, match="there are no scenes to stack"):
+        stack_scenes([])
 
 
 def test_rotation_matrices_agree_with_scipy():

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from gnnjax.arm.bodies import Body, Joint
 from gnnjax.arm.robot import Robot
@@ -162,12 +163,15 @@ def move_joint(joint: Joint, position: Vector, rotation: Matrix, joints: Joints)
 
 
 def forward_kinematics(
-    robot: Robot, q: Float[Array, "*batch D"]
+    robot: Robot, q: ArrayLike
 ) -> tuple[Float[Array, "*batch L 3"], Float[Array, "*batch L 3 3"]]:
-    """Positions [m] and rotations of the robot's L bodies, in the order of `robot.bodies`.
+    """Positions [m] and rotations of the robot's L bodies, in the order of `robot.bodies`, at
+    configurations `[*batch D]`.
 
     Seen from the base of the arm, like scenes.
     """
+    q = jnp.asarray(q)
+    q = q if jnp.issubdtype(q.dtype, jnp.floating) else q.astype(float)
     frames = body_frames(robot, joint_terms(robot, q))
     shape = q.shape[:-1]
 

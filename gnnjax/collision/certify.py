@@ -199,6 +199,7 @@ def known_obstacles(robot: Robot, scene: Scene | Obstacles) -> Obstacles:
         if scene.allowed is not None:
             check_arm(robot, scene.arm)
         return scene
+    check_is_scene(scene)
     check_allowed(robot, scene)
     return obstacles_of(scene)
 
@@ -234,6 +235,19 @@ def cut(
     return edge[row], at(step), at(step + 1)
 
 
+def check_is_scene(scene: object) -> None:
+    """Refuses what is no scene, nor several in one.
+
+    Raises:
+        InputError: names what it is.
+    """
+    if not isinstance(scene, Scene):
+        raise InputError(
+            f"the scene is a {type(scene).__name__}; make one with make_scene, scene_from_shapes "
+            "or scene_from_json"
+        )
+
+
 def check_scene(scene: Scene) -> None:
     """Refuses one scene that nothing can be proven in.
 
@@ -241,11 +255,7 @@ def check_scene(scene: Scene) -> None:
         InputError: what is no scene, or several; a box that is not finite, has no size, or a
             quaternion that is not normalized.
     """
-    if not isinstance(scene, Scene):
-        raise InputError(
-            f"the scene is a {type(scene).__name__}; make one with make_scene, scene_from_shapes "
-            "or scene_from_json"
-        )
+    check_is_scene(scene)
     if np.ndim(scene.mask) != 1:
         raise InputError(f"the scene is {len(scene.mask)} in one; give one after the other")
     for fault in scene_faults(scene):

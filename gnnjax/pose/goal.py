@@ -101,6 +101,8 @@ def check_goal(goal: PoseGoal) -> tuple[np.ndarray, np.ndarray]:
         free = [goal.free]
     if isinstance(goal.free, str) or any(axis not in AXES for axis in free):
         raise InputError(f"the pose has free axes {brief(goal.free)}; give a list of {list(AXES)}")
+    if not isinstance(goal.frame, str | None):
+        raise InputError(f"the frame is {brief(goal.frame)}; give the name of a site or body")
     turns = [axis for axis in AXES[3:] if axis in free]
     if len(turns) == 2:
         raise InputError(f"the pose has {turns} free; give one axis of turns, or all three")

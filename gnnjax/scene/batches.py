@@ -12,7 +12,13 @@ from gnnjax.scene.scene import Scene, pad_scene
 
 def stack_scenes(scenes: Sequence[Scene]) -> Scene:
     """Scenes as one batch `[P, M, ...]`, with room in each for as many obstacles and points as the
-    largest has."""
+    largest has.
+
+    Raises:
+        InputError: no scene, or one in which contacts are meant of another arm.
+    """
+    if not scenes:
+        raise InputError("there are no scenes to stack; give one or more")
     most = max(scene.mask.shape[-1] for scene in scenes)
     padded = _same_allowed(same_clouds([pad_scene(scene, most) for scene in scenes]))
     return jax.tree.map(lambda *x: np.stack(x), *padded)

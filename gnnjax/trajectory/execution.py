@@ -215,7 +215,7 @@ def _judged(
         success=not reason,
         reason=reason,
         duration=max(1, len(whole.times) - round(HOLD / DT)) * DT,
-        max_error=error[:moving].max(axis=0),
+        max_error=error.max(axis=0),
         rms_error=np.sqrt((error[:moving] ** 2).mean(axis=0)),
         tip_error=float(tip.max()),
         goal_error=float(goal.max()),

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import torques_at_rest
 from gnnjax.clock import Clock
-from gnnjax.collision.certify import beyond_limits
+from gnnjax.collision.certify import beyond_limits, check_is_scene
 from gnnjax.errors import InputError, check_number
 from gnnjax.scene.scene import Scene, inflated
 from gnnjax.trajectory.clearance import clearances_of
@@ -106,6 +106,7 @@ def find_motions(
         raise InputError(f"margin is {margin}; give a clearance in metres, or 0")
     if not len(paths):  # it may be an array
         return []
+    check_is_scene(scene)
     if np.ndim(scene.mask) == 2 and len(scene.mask) != len(paths):
         raise InputError(f"{len(paths)} paths in {len(scene.mask)} scenes; give one scene a path")
     clock = Clock()
