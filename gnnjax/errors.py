@@ -45,6 +45,15 @@ def is_list(values: object) -> TypeGuard[Iterable[Any]]:
     return isinstance(values, Iterable) and not isinstance(values, str)
 
 
+def is_pair_of_names(value: object) -> TypeGuard[tuple[str, str]]:
+    """Whether it is two texts."""
+    return (
+        isinstance(value, tuple | list)
+        and len(value) == 2
+        and all(isinstance(name, str) for name in value)
+    )
+
+
 def one_line(text: str, most: int = 299) -> str:
     """Text as one line. Of what is too long the middle goes; what and remedy are at the ends."""
     if len(text) > 10_000:

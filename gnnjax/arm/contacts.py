@@ -7,15 +7,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from gnnjax.arm.mjcf import collision_geoms, self_pairs
+from gnnjax.arm.mjcf import HIDING, collision_geoms, self_pairs
 from gnnjax.arm.parts import Part
 from gnnjax.errors import InputError, perhaps
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SAMPLES = 2000  # configurations
 _OFTEN, _NAMED = 0.5, 2  # share of them in which parts meet that likely may; how many are named
-# Flags of a model that would hide contacts.
-_HIDING = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
 def without_bodies(
@@ -111,7 +109,7 @@ def always_touching(
     if not len(pairs):
         return set()
     flags, memory = model.opt.disableflags, mujoco.MjData(model)
-    model.opt.disableflags = flags & ~_HIDING
+    model.opt.disableflags = flags & ~HIDING
     rng, kept = np.random.default_rng(0), {tuple(pair) for pair in pairs.tolist()}
     row = np.full(model.ngeom, -1)
     row[geoms] = np.arange(len(geoms))

@@ -14,6 +14,8 @@ from gnnjax.errors import InputError
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
+# Flags of an MJCF that would hide contacts from the C engine.
+HIDING = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 # Of a joint's range, rad or m: sixteen turns. The tables of points along an edge grow with it.
 _MOST_RANGE = 100.0
 _MOST_METERS = 1e4  # of any length of an arm; single precision has lost a millimetre there

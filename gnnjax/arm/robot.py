@@ -32,7 +32,7 @@ from gnnjax.arm.parts import Part, part_of_geom
 from gnnjax.arm.reading import ONE_TURN, Reading, read_arm
 from gnnjax.arm.shipped import assets_dir, find_model, in_kind
 from gnnjax.arm.sources import Written, written
-from gnnjax.errors import InputError, brief, is_list
+from gnnjax.errors import InputError, brief, is_list, is_pair_of_names
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _LOG = logging.getLogger(__name__)
@@ -182,7 +182,7 @@ def load_robot(
     ):
         raise InputError(f'hold is {brief(hold)}; give numbers by names, such as {{"finger": 0.0}}')
     pairs: tuple = tuple(allow or ()) if allow is None or is_list(allow) else (allow,)
-    if not all(_is_pair(pair) for pair in pairs):
+    if not all(is_pair_of_names(pair) for pair in pairs):
         raise InputError(
             f'allow is {brief(allow)}; give pairs of names of bodies, such as [("hand", "link_4")]'
         )
@@ -192,12 +192,8 @@ def load_robot(
         written(path) if path.suffix else (),
         None if joints is None else tuple(joints),
         tuple(sorted((name, float(value)) for name, value in held.items())),
-        tuple((str(a), str(b)) for a, b in pairs),
+        tuple((a, b) for a, b in pairs),
     )
-
-
-def _is_pair(pair: object) -> bool:
-    return isinstance(pair, tuple | list) and len(pair) == 2
 
 
 def _is_number(value: object) -> bool:

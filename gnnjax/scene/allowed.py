@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief, is_list
+from gnnjax.errors import InputError, brief, is_list, is_pair_of_names
 from gnnjax.scene.scene import Allowed, Scene, obstacle_name
 
 _HELD = "held"  # stands for the body that an arm holds
@@ -31,7 +31,7 @@ def allow_contacts(robot: Robot, scene: Scene, allow: Sequence) -> Scene:
     """
     if np.ndim(scene.mask) != 1:
         raise InputError(f"the mask of the scene has shape {np.shape(scene.mask)}; give one scene")
-    if not is_list(allow) or not all(_is_pair(pair) for pair in allow):
+    if not is_list(allow) or not all(is_pair_of_names(pair) for pair in allow):
         raise InputError(
             f'allow is {brief(allow)}; give pairs of names, such as [("hand", "cylinder 0")]'
         )
@@ -49,12 +49,6 @@ def allow_contacts(robot: Robot, scene: Scene, allow: Sequence) -> Scene:
             )
         pairs[names[obstacle], _body(robot, body)] = True
     return scene._replace(allowed=Allowed(pairs, arm_key(robot)))
-
-
-def _is_pair(pair: object) -> bool:
-    return (
-        isinstance(pair, tuple | list) and len(pair) == 2 and all(isinstance(x, str) for x in pair)
-    )
 
 
 def _body(robot: Robot, name: str) -> int:

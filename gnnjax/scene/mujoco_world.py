@@ -6,7 +6,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from gnnjax.arm.mjcf import add_geom
+from gnnjax.arm.mjcf import HIDING, add_geom
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.scene.allowed import refuse_allowed
@@ -29,8 +29,6 @@ _GEOMS = for_every_kind(
 )
 # All bits of MuJoCo's contype and conaffinity.
 _ALL_BITS = -1
-# Flags of an MJCF that would hide contacts from the C engine.
-_HIDING = int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
 class Obstacles(NamedTuple):
@@ -62,7 +60,7 @@ def world_spec(robot: Robot, max_obstacles: int, cloud: Cloud | None = None) -> 
         cloud: of the scene; a sphere for each of its points, none of which can be moved.
     """
     spec = robot.mj_spec.copy()
-    spec.option.disableflags &= ~_HIDING
+    spec.option.disableflags &= ~HIDING
     spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)  # margins of their own
     spec.memory = -1  # as much as the contacts need, whatever the MJCF says
     prefix = "box_"
