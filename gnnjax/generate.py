@@ -16,7 +16,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.robot import Robot
@@ -48,6 +47,7 @@ from gnnjax.problems.shards import (
     save_shard,
     shard_name,
 )
+from gnnjax.progress_bar import progress_bar
 from gnnjax.roll_call import Place
 
 _ORIGIN = "generated"  # array of a single file that says what the manifest says of a folder
@@ -171,11 +171,10 @@ def _draw_shards(robot: Robot, folder: Path, num: int, ours: dict[str, Any], pla
             )
     family = settings["family"]
     draw = generate_labelled(robot, settings["num_nodes"], settings["checker"], family)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     manifest = MANIFEST if place.count == 1 else manifest_of(place.index)
     mine = [i for i in range(-(-num // size)) if place.has(i)]
     wanted = {i: min(size, num - i * size) for i in mine}
-    with Progress(*columns, TimeRemainingColumn()) as progress:
+    with progress_bar() as progress:
         task = progress.add_task("compiling and drawing", total=sum(wanted.values()))
         for index, count in wanted.items():
             shards = known.get(shard_name(index), [])

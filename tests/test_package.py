@@ -40,8 +40,8 @@ def test_help_names_no_planner_that_commands_refuse(capsys):
 
 # Imports go down this list only.
 ORDER = """
-interruption notice errors arguments per_object files array_files devices clock digest surroundings
-memory_maps kept
+interruption notice progress_bar errors arguments per_object files array_files devices clock digest
+surroundings memory_maps kept
 roll_call cluster
 arm.shipped
 arm.parts arm.bodies arm.couplings arm.joints arm.mjcf arm.mesh_files arm.urdf arm.sources

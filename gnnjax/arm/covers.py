@@ -164,13 +164,12 @@ def _fitted(parts: list[Part]) -> list[list[Cover]]:
     if not missing:
         return found
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    from gnnjax.progress_bar import progress_bar
+
     console = Console(stderr=True)
     # Elsewhere than in a terminal a bar that goes away would leave an empty line.
-    shown = dict(console=console, transient=True, disable=not console.is_terminal)
-    with Progress(*columns, **shown) as progress:
+    with progress_bar(console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=len(missing))
         for i in missing:
             progress.update(task, description=f"fitting spheres to {parts[i].name}, once")

@@ -7,7 +7,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gnnjax.collision.bounds import compile_certificates
 from gnnjax.errors import InputError, is_out_of_memory
@@ -16,6 +15,7 @@ from gnnjax.planning.options import PlannerOptions
 from gnnjax.planning.query import QueryPlanner
 from gnnjax.problems.problem import Problem
 from gnnjax.problems.shards import StoredProblems
+from gnnjax.progress_bar import progress_bar
 
 
 class Batches:
@@ -51,8 +51,7 @@ class Batches:
         self._compiled: set[Any] = set()  # sizes of batches, with shapes of scenes
         self._stored = False
         self._planned, self._spent = 0, 0.0
-        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-        self._progress = Progress(*columns, TimeRemainingColumn())
+        self._progress = progress_bar()
 
     @contextlib.contextmanager
     def progress(self, total: int, completed: int = 0) -> Iterator[None]:

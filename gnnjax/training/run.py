@@ -18,20 +18,13 @@ import optax
 from flax import nnx
 from jax.sharding import Mesh
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from tensorboardX.proto.event_pb2 import Event
 from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import masked_crc32c
 
 from gnnjax.errors import InputError, check_seed, needs_extra
 from gnnjax.files import atomic_write, check_target, locked
+from gnnjax.progress_bar import progress_bar
 from gnnjax.training.checkpoint import TrainingCheckpoints
 from gnnjax.training.parallel import everywhere, here
 from gnnjax.training.weights import save_network
@@ -73,12 +66,11 @@ def run_training(training: Training, config: Any) -> Path:
             where a picture of the curves goes.
     """
     unit, steps, mesh = training.unit, training.steps, training.mesh
-    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     run = TrainingRun(
         *(config.out, training.network, settings_of(config), unit, steps), figure=config.figure
     )
     console = Console(quiet=not _is_first())
-    with run, Progress(*columns, TimeRemainingColumn(), console=console) as progress:
+    with run, progress_bar(console) as progress:
         first, state = run.begin(training.state, config.resume)
         state = everywhere(state, mesh)
         total = training.num_units * steps
