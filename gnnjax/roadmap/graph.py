@@ -16,6 +16,9 @@ NODE_BUCKETS = (200, 400, 600, 800, 1000, 1500, 2000, 3000, 5000)
 
 
 START, GOAL = 0, 1  # nodes of every roadmap
+# Configuration units. Nodes nearer to each other are not joined, but for start and goal: rounded,
+# either may be as cheap to go on from as the other, and a search would go in circles.
+SHORTEST = 1e-4
 
 
 class Roadmap(NamedTuple):
@@ -109,7 +112,7 @@ def connect_where(
     joined: Callable[[Float[Array, "N N"]], Bool[Array, "N N"]],
     num_slots: int,
 ) -> Roadmap:
-    """Connects the pairs of nodes that a rule names.
+    """Connects the pairs of nodes that a rule names, if they are not in one place.
 
     A node with more neighbours than slots keeps the nearest, and the others forget it too.
 
@@ -123,7 +126,8 @@ def connect_where(
     # Differences rather than a matrix product: exactly symmetric, and no cancellation.
     squared = sum((nodes[:, None, d] - nodes[None, :, d]) ** 2 for d in range(nodes.shape[1]))
     squared = jnp.asarray(squared)
-    within = node_mask[:, None] & node_mask[None, :] & joined(squared)
+    apart = (squared > SHORTEST**2).at[[START, GOAL], [GOAL, START]].set(True)
+    within = node_mask[:, None] & node_mask[None, :] & joined(squared) & apart
     num_slots = min(num_slots, num)
     # Without the barrier XLA:CPU takes this for a full sort once its results are used, which is
     # eighteen times slower at a thousand nodes.

@@ -19,7 +19,15 @@ from gnnjax.arm.torques import rests
 from gnnjax.collision.clearances import is_self_free
 from gnnjax.errors import InputError
 from gnnjax.kept import keep
-from gnnjax.roadmap.graph import GOAL, START, Roadmap, connect, default_radius, node_bucket
+from gnnjax.roadmap.graph import (
+    GOAL,
+    SHORTEST,
+    START,
+    Roadmap,
+    connect,
+    default_radius,
+    node_bucket,
+)
 from gnnjax.roadmap.smallest import smallest
 from gnnjax.roadmap.sobol import sobol_points
 
@@ -93,7 +101,7 @@ def insert_ends(
     far = jnp.linalg.norm(stored.nodes - ends[:, None], axis=-1)  # [2 N]
     far = jnp.where(stored.node_mask, far, jnp.inf)
     negative, near = jax.lax.top_k(-far, num_slots + 1)
-    joined = -negative <= _END_REACH * radius
+    joined = (-negative <= _END_REACH * radius) & (-negative > SHORTEST)
     member = jnp.zeros((2, num), bool).at[jnp.arange(2)[:, None], near].set(joined).T  # [N 2]
     own = jnp.arange(num + 2)[:, None]
     end_neighbors = jnp.concatenate([own[1::-1], jnp.where(joined, near + 2, own[:2])], axis=1)
@@ -152,7 +160,7 @@ def add_local_nodes(
     far = jnp.where(special_mask[:, None] & stored.node_mask, far, jnp.inf)
     is_end = jnp.arange(len(special)) < 2
     joined = _nearest(far, jnp.where(is_end, _NEAR_ENDS, _NEAR_NODES))
-    joined &= (far <= _END_REACH * radius) | ~is_end[:, None]
+    joined &= ((far <= _END_REACH * radius) | ~is_end[:, None]) & (far > SHORTEST)
     # Of the local nodes that want it, a stored node takes the nearest of either side.
     sides = [slice(2 + side * num_local, 2 + (side + 1) * num_local) for side in (0, 1)]
     to_stored, to_special = jnp.where(joined, far, jnp.inf), []
@@ -240,13 +248,12 @@ def _choose_local(
 def _differs_from_earlier(
     ends: Float[Array, "2 D"], local: Float[Array, "2 L D"]
 ) -> Bool[Array, "2 L"]:
-    """False for local nodes that equal an end or one before them.
+    """False for local nodes that are where an end is or one before them.
 
-    Draws beyond a corner of the limits all end there. One of them is enough: edges without length
-    would lead a search in circles.
+    Draws beyond a corner of the limits all end there. One of them is enough.
     """
     nodes = jnp.concatenate([ends, local.reshape(-1, ends.shape[1])])
-    equal = jnp.all(nodes[:, None] == nodes, axis=-1)
+    equal = jnp.all(jnp.abs(nodes[:, None] - nodes) <= SHORTEST, axis=-1)
     return ~jnp.any(jnp.tril(equal, -1), axis=1)[2:].reshape(2, -1)
 
 
