@@ -12,8 +12,8 @@ they come; the same command goes on where it was cut off.
 
 import contextlib
 import dataclasses
-import json
 import logging
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +25,7 @@ from gnnjax.arguments import parse_arguments
 from gnnjax.arm_options import HoldingOptions, load_arm
 from gnnjax.cluster import ALONE, Cluster
 from gnnjax.errors import InputError, brief, check_seed, needs_extra, run_command
-from gnnjax.files import check_apart, check_target, locked
+from gnnjax.files import as_json, check_apart, check_target, locked
 from gnnjax.measure.batches import Batches
 from gnnjax.measure.machine import describe_machine, ompl_version
 from gnnjax.measure.own_planner import check_arm, checksums_of, own_settings
@@ -105,6 +105,10 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
         )
     _check_processes(config)
     check_seed(config.seed)
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"{field.name} is {value}; give a number that is finite")
     check_target(config.json)
     check_apart((config.json, config.figure), (config.problems, config.attach, config.robot))
     place = config.cluster.place()
@@ -118,7 +122,7 @@ def evaluate(config: EvaluateConfig, planner: QueryPlanner | None = None) -> dic
         own = own_settings(planner, config, files)
     problems = StoredProblems(config.problems, planner.robot)
     num = min(len(problems), config.num_problems or len(problems))
-    settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+    settings = as_json(dataclasses.asdict(config))
     for name in ("json", "cluster", "keep_parts", "figure", "beside"):  # change no row
         del settings[name]
     checksums = {_CHECKSUM: problems.sha256()} | checksums_of(planner)
@@ -267,6 +271,10 @@ def _evaluate_parts(
         results["machine"]["processes"] = place.count  # of which this is the first one's
     numbers = range(len(parts.files))
     if config.keep_parts and len(whole) < run.num:
+        for i in numbers:  # of an earlier run, in whose file rows will not be any more
+            if not parts.files[i].exists():
+                done = results | {"complete": True, "problems": parts.rows(i)}
+                write_results(parts.files[i], done)
         columns = [columns_of(parts.rows(i)) for i in numbers]
         joined = {name: np.concatenate([x[name] for x in columns]) for name in columns[0]}
         results["summary"] = summarize_columns(joined)

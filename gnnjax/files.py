@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.metadata
+import json
 import os
 import re
 import shlex
@@ -11,6 +12,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from gnnjax.errors import InputError
 
@@ -18,6 +22,16 @@ try:
     import fcntl
 except ImportError:  # no POSIX: no locks, and leftovers of killed commands stay
     fcntl = None
+
+
+def as_json(settings: Any) -> Any:
+    """Settings as they are read back from JSON: tuples are lists, paths and the like texts, and
+    NumPy's numbers numbers."""
+
+    def plain(value: object) -> Any:
+        return value.item() if isinstance(value, np.generic) else str(value)
+
+    return json.loads(json.dumps(settings, default=plain))
 
 
 def cache_folder(name: str) -> Path:

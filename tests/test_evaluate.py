@@ -131,6 +131,18 @@ def test_a_run_that_was_cut_off_goes_on(tiny_path, problems, results, tmp_path):
     assert without_times(resumed["problems"]) == without_times(results["problems"])
 
 
+def test_rows_of_a_run_that_was_cut_off_are_kept_in_parts(tiny_path, problems, results, tmp_path):
+    out = tmp_path / "cut.json"
+    cut = {**results, "problems": results["problems"][:3], "complete": False, "summary": {}}
+    out.write_text(json.dumps(cut))
+    kept = evaluate(config(tiny_path, problems, out, keep_parts=True))
+    folder = tmp_path / "cut.json.parts"
+    files = [json.loads((folder / name).read_text()) for name in kept["parts"]]
+    rows = [row for file in files for row in file["problems"]]
+    assert rows[:3] == results["problems"][:3]
+    assert without_times(rows) == without_times(results["problems"])
+
+
 def test_two_evaluations_do_not_share_a_file(tiny_path, problems, tmp_path):
     out = tmp_path / "results.json"
     with locked(out):
@@ -434,6 +446,8 @@ def test_a_file_with_something_else_is_kept(tiny_path, problems, tmp_path, text,
         (["--sampled"], "error: sampled with planner 'lazysp'; it is for planner 'guided'"),
         (["--no-shorten"], "error: --no-shorten with planner 'lazysp'; it is for planner"),
         (["--json", "."], "error: '.' is a folder; name a file"),
+        (["--time-limit", "inf"], "error: time_limit is inf; give a number that is finite"),
+        (["--check-cost", "inf"], "error: check_cost is inf; give a number that is finite"),
     ],
 )
 def test_bad_arguments_are_refused_in_one_line(

@@ -1,5 +1,6 @@
 """Problem sets: what is written is read, and what is damaged is named."""
 
+import functools
 import json
 import zipfile
 
@@ -11,7 +12,7 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import InputError
 from gnnjax.problems.file import save_problems
-from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
+from gnnjax.problems.problem import Problem, ProblemSet, draw_problem, sample_problem
 from gnnjax.problems.shards import MANIFEST, load_problems, read_manifest, save_shard
 from gnnjax.scene.scene import box_scene
 
@@ -91,11 +92,35 @@ def test_an_extra_whose_name_is_taken_is_not_written(tmp_path, name):
     assert not (tmp_path / "set.npz").exists()
 
 
+@pytest.mark.parametrize(
+    ("extras", "message"),
+    [
+        ({7: np.zeros(6)}, "an extra is called 7; give it a name"),
+        ({"a\0b": np.zeros(6)}, "an extra is called .*; give it a name"),
+        ({"ragged": [[1], [2, 3]]}, "extra 'ragged' is no array"),
+    ],
+)
+def test_extras_that_would_not_come_back_are_not_written(tmp_path, extras, message):
+    bad = object.__new__(ProblemSet)  # whose types nobody checks, as outside of tests
+    for name, value in (vars(random_set()) | {"extras": extras}).items():
+        object.__setattr__(bad, name, value)
+    with pytest.raises(InputError, match=message):
+        save_problems(tmp_path / "set.npz", bad)
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_problems_are_not_written(tmp_path):
+    with pytest.raises(InputError, match="holds no problems"):
+        save_problems(tmp_path / "set.npz", random_set().take(slice(0, 0)))
+
+
 def test_what_is_no_problem_set_is_not_written(tmp_path, robot):
     good = random_set()
     start, goal, scene = good.problems
     lost = start.copy()
     lost[2, 1] = np.nan
+    vast = start.astype(float)
+    vast[3, 0] = 1e300
     bad = object.__new__(ProblemSet)  # whose types nobody checks, as outside of tests
     for changes, message in (
         ({"robot": robot}, "has a Robot and a Problem; give the arm's name"),
@@ -103,6 +128,7 @@ def test_what_is_no_problem_set_is_not_written(tmp_path, robot):
         ({"problems": Problem(start[:5], goal[:5], scene)}, r"scenes \(6, 10\); they are"),
         ({"problems": Problem(start, lost, scene)}, r"goal of problem 2 is .*must be finite"),
         ({"problems": Problem([[0.0], [0.0, 1.0]], goal, scene)}, "are no numbers"),
+        ({"problems": Problem(vast, goal, scene)}, r"start of problem 3 is .*must be finite"),
     ):
         for name, value in ({"extras": {}} | vars(good) | changes).items():
             object.__setattr__(bad, name, value)
@@ -308,6 +334,15 @@ def test_shards_are_read_in_their_order_as_one_set(tmp_path, robot):
     assert [shard["problems"] for shard in manifest["shards"]] == [6, 4]
 
 
+def test_numbers_of_numpy_are_settings_too(tmp_path):
+    settings = {"num_nodes": np.int64(3), "share": np.float32(0.5)}
+    save_shard(tmp_path, 0, random_set(), seed=7, settings=settings)
+    manifest = read_manifest(tmp_path)
+    assert manifest["seed"] == 7
+    assert manifest["settings"] == {"num_nodes": 3, "share": 0.5}
+    save_shard(tmp_path, 1, random_set(), seed=7, settings=manifest["settings"])
+
+
 def test_a_shard_written_again_replaces_the_first(tmp_path, robot):
     settings = save_two_shards(tmp_path)
     save_shard(tmp_path, 1, random_set(2, seed=3), seed=7, settings=settings)
@@ -376,3 +411,18 @@ def test_sampled_problems_have_the_ends_and_boxes_that_the_checks_admit(robot):
         assert ((ends >= robot.joint_lower) & (ends <= robot.joint_upper)).all()
         assert len(np.unique(ends, axis=0)) == 64
     assert (start != goal).any(axis=1).all()
+
+
+def test_an_end_that_is_not_found_is_within_limits_and_told(robot):
+    key, upright = jax.random.key(0), np.clip(0, robot.joint_lower, robot.joint_upper)
+
+    def clear(scene):
+        return jnp.ones(scene.mask.shape, bool)
+
+    for share in (0.0, 1.0):  # of the draws that are free
+        draw = functools.partial(draw_problem, key, robot, obstacles_clear=clear)
+        problem, found = draw(
+            check_configurations=lambda scene, q, s=share: jnp.full(len(q), s > 0)
+        )
+        assert found.tolist() == 2 * [share > 0]
+        assert np.array_equal(problem.goal, upright) == (share == 0)

@@ -88,7 +88,8 @@ def test_the_graph_stays_symmetric_where_neighbors_are_equally_far():
             joined[i, roadmap.neighbors[i, k]] += 1
         np.testing.assert_array_equal(joined, joined.T)
         assert joined.max() == 1
-        whole = np.asarray(cdist(nodes, nodes) <= 1.5).sum() - 28
+        apart = cdist(nodes, nodes)
+        whole = ((apart <= 1.5) & (apart > 0)).sum()
         assert int(roadmap.num_dropped) == (whole - joined.sum()) // 2
     assert roadmap.num_dropped == 0
 
@@ -121,6 +122,18 @@ def test_the_radius_gives_the_mean_degree(num_nodes):
     nodes = np.float32(unit * robot.joint_range)
     roadmap = jitted_connect(nodes, np.ones(num_nodes, bool), radius, 96)
     assert abs(np.asarray(roadmap.neighbor_mask).sum(axis=1).mean() - 14.0) < 1.5
+
+
+def test_nodes_in_one_place_are_not_joined_and_lead_no_way_in_circles():
+    nodes = jnp.asarray([[0, 0], [1, 0], [0, 0], [0.5, 0.1], [0.5, 0.1 + 1e-6]], jnp.float32)
+    roadmap = connect(nodes, jnp.ones(5, bool), 0.8, 4)
+    found = set(zip(*np.nonzero(adjacency(roadmap, roadmap.neighbor_mask)), strict=True))
+    apart = {(0, 3), (0, 4), (1, 3), (1, 4), (2, 3), (2, 4)}
+    assert found == apart | {(b, a) for a, b in apart}
+    labels = label_roadmap(roadmap, roadmap.neighbor_mask)
+    assert labels.next_node.tolist() in [[x, -1, y, 1, 1] for x in (3, 4) for y in (3, 4)]
+    same = connect(nodes[jnp.array([0, 2, 3])], jnp.ones(3, bool), 0.8, 3)  # start is goal
+    assert (same.neighbors[0] == 1).any()
 
 
 @pytest.mark.parametrize("seed", range(3))

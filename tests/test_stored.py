@@ -180,6 +180,20 @@ def test_ends_are_joined_with_their_local_nodes_and_with_each_other(robot, store
     assert within == {(i + first, j + first) for i, j in edges(stored)}
 
 
+def test_an_end_in_the_place_of_a_stored_node_is_not_joined_with_it(robot, stored, widen):
+    radius = default_radius(robot, NUM + 2)
+    ends = stored.nodes[3], stored.nodes[5] + np.float32(1e-6)
+    joined = jax.jit(lambda stored, start, goal: insert_ends(stored, start, goal, radius))
+    for roadmap in (joined(stored, *ends), widen(0, stored, *ends)):
+        roadmap = jax.tree.map(np.asarray, roadmap)
+        first = len(roadmap.nodes) - len(stored.nodes)
+        found = edges(roadmap)
+        assert (0, 1) in found
+        assert not {(0, first + 3), (1, first + 5)} & set(found)
+        assert len([j for i, j in found if i == 0]) > 5
+        assert roadmap.lengths[roadmap.neighbor_mask].min() > 1e-4
+
+
 def test_nodes_that_the_limits_make_equal_are_left_out(robot, stored, widen):
     # An eighth of the draws around a corner of the limits is cut off to the corner itself. Edges
     # without length would lead a search around in circles.

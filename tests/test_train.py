@@ -2,8 +2,10 @@
 
 import dataclasses
 import functools
+import inspect
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -197,6 +199,13 @@ def test_a_run_logs_validates_and_leaves_weights_that_plan(tiny_path, smoke):
     meta = read_metadata(smoke.out / "weights.safetensors")
     assert meta["training"]["epochs"] == 2
     assert (meta["model"]["channels"], meta["model"]["without"]) == (8, ["gat"])
+
+
+def test_a_validation_that_solves_nothing_has_no_cost(monkeypatch):
+    unsolved = SimpleNamespace(success=False, edge_checks=4, cost=np.inf)
+    planner = SimpleNamespace(plan_batch=lambda problems: 3 * [unsolved])
+    found = inspect.unwrap(gnnjax.train.validate)(planner, None)
+    assert found == {"success": 0.0, "edge_checks": 4.0}
 
 
 def test_a_resumed_run_comes_to_the_same_numbers(smoke, tmp_path, monkeypatch, capfd):

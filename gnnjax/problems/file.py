@@ -60,14 +60,23 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
     if not isinstance(problem_set, ProblemSet):
         raise InputError(f"{brief(problem_set)} is no ProblemSet; give what load_problems returns")
     problem_set.check()
+    if not len(problem_set):
+        raise InputError("the problem set holds no problems; give one or more")
+    extras = {}
     for name, value in problem_set.extras.items():
+        if not isinstance(name, str) or "\0" in name:
+            raise InputError(f"an extra is called {brief(name)}; give it a name of letters")
+        try:
+            extras[name] = np.asarray(value)
+        except ValueError:
+            raise InputError(f"extra {name!r} is no array; its rows differ in length") from None
         if name in (*_OWN, *_NUMPYS):
             raise InputError(f"an extra is called {name!r}, a name that is taken; rename it")
-        if np.asarray(value).dtype.hasobject:
+        if extras[name].dtype.hasobject:
             raise InputError(
                 f"extra {name!r} holds Python objects; problem files hold numbers and strings alone"
             )
-    check_further(f"problem file {str(path)!r}", problem_set.extras)
+    check_further(f"problem file {str(path)!r}", extras)
     refuse_allowed(problem_set.problems.scene, "a problem file")
     start, goal, scene = problem_set.problems
     scene = jax.tree.map(np.asarray, scene)
@@ -99,7 +108,7 @@ def save_problems(path: str | Path, problem_set: ProblemSet) -> None:
 
     def write(file: Path) -> None:
         with open(file, "wb") as stream:
-            np.savez_compressed(stream, **{**problem_set.extras, **arrays})
+            np.savez_compressed(stream, **{**extras, **arrays})
 
     atomic_write(path, write)
 

@@ -10,14 +10,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from gnnjax.arm.robot import Robot
+from gnnjax.arm.torques import rests
 from gnnjax.collision.checker import Backend, Checker, make_checker
+from gnnjax.collision.clearances import is_self_free
 from gnnjax.collision.fused import obstacles_clear
 from gnnjax.devices import map_first, on_all_cores
 from gnnjax.errors import InputError
 from gnnjax.kept import keep
 from gnnjax.problems.families import FAMILIES, FamilyName
 from gnnjax.problems.family_problem import sample_family_problem
-from gnnjax.problems.problem import Problem, ProblemSet, sample_problem
+from gnnjax.problems.problem import Problem, ProblemSet, draw_problem, near_zero
 from gnnjax.roadmap.graph import GOAL, Roadmap, default_radius
 from gnnjax.roadmap.paths import cost_to_go, edges_that, next_slots
 from gnnjax.roadmap.sampled import sample_roadmap
@@ -105,15 +107,16 @@ def _problem_sampler(
     robot: Robot, checker: Backend, family: str
 ) -> tuple[Callable[[jax.Array], tuple[Problem, jax.Array]], Checker]:
     """`key -> (problem, whether one was found)`, and the checker for the family's scenes."""
-    zero = np.clip(np.zeros(robot.num_dof, np.float32), robot.joint_lower, robot.joint_upper)
+    zero = near_zero(robot)
     clear = functools.partial(obstacles_clear, robot, q=jnp.asarray(zero))
     if family == "paper":
         check = make_checker(robot, checker, axis_aligned=True)
+        stands = bool(is_self_free(robot, zero[None])[0] and rests(robot, zero[None])[0])
 
         def draw_paper(key: jax.Array) -> tuple[Problem, jax.Array]:
             # Every arm's q = 0 stands upright in the paper; the scene leaves it clear.
-            problem = sample_problem(key, robot, check.check_configurations, clear)
-            return problem, jnp.any(problem.start != problem.goal)  # or both were not found
+            problem, found = draw_problem(key, robot, check.check_configurations, clear)
+            return problem, jnp.all(found) | (stands & jnp.any(found))
 
         return draw_paper, check
 

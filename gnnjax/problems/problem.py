@@ -49,7 +49,8 @@ class ProblemSet:
             )
         scene = self.problems.scene
         try:
-            start, goal = (np.asarray(x, float) for x in self.problems[:2])
+            with np.errstate(over="ignore"):  # infinite in single precision, and refused as such
+                start, goal = (np.asarray(x, np.float32) for x in self.problems[:2])
         except (TypeError, ValueError, OverflowError):
             raise InputError(
                 "start and goal of a problem set are no numbers [P D]; give a row for each problem"
@@ -121,7 +122,8 @@ def sample_problem(
 ) -> Problem:
     """Draws a problem of the paper: a random scene, start and goal uniform in its free space.
 
-    Where 800 draws find no free configuration, an end is q = 0, which the scene leaves clear.
+    Where 800 draws find no free configuration, an end is q = 0, or the nearest to it within the
+    limits, which the scene leaves clear.
 
     Args:
         key: randomness.
@@ -129,6 +131,16 @@ def sample_problem(
         check_configurations: of a `Checker`.
         obstacles_clear: tells for each obstacle whether the arm at q = 0 is clear of it.
     """
+    return draw_problem(key, robot, check_configurations, obstacles_clear)[0]
+
+
+def draw_problem(
+    key: jax.Array,
+    robot: Robot,
+    check_configurations: Callable[[Scene, jax.Array], jax.Array],
+    obstacles_clear: Callable[[Scene], Bool[Array, " M"]],
+) -> tuple[Problem, Bool[Array, " 2"]]:
+    """`sample_problem`, and whether start and goal were found."""
     scene_key, ends_key = jax.random.split(key)
     scene = sample_scene(scene_key, obstacles_clear)
 
@@ -137,4 +149,12 @@ def sample_problem(
 
     # Sixteen draws a block, of which the first two that are free count.
     ends = sample_free(ends_key, check, robot.drawn_lower, robot.drawn_upper, 16, wanted=2)
-    return Problem(ends.nodes[0], ends.nodes[1], scene)
+    upright = jnp.asarray(near_zero(robot))
+    start, goal = jnp.where(ends.mask[:2, None], ends.nodes[:2], upright)
+    return Problem(start, goal, scene), ends.mask[:2]
+
+
+def near_zero(robot: Robot) -> np.ndarray:
+    """The configuration within an arm's limits that is nearest to zero, `[D]`."""
+    zero = np.zeros(robot.num_dof, np.float32)
+    return np.clip(zero, robot.joint_lower, robot.joint_upper)

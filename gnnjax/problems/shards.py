@@ -12,7 +12,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError, brief
-from gnnjax.files import atomic_write, code_version
+from gnnjax.files import as_json, atomic_write, code_version
 from gnnjax.problems.file import load_file, save_problems
 from gnnjax.problems.problem import ProblemSet
 from gnnjax.scene.batches import same_clouds
@@ -163,9 +163,8 @@ def origin(robot: str, seed: int, settings: dict[str, Any]) -> dict[str, Any]:
     """What all shards of a set have in common, as its manifest says it."""
     return {
         "robot": robot,
-        "seed": seed,
-        # As it will be read back: tuples become lists.
-        "settings": json.loads(json.dumps(settings)),
+        "seed": int(seed),
+        "settings": as_json(settings),
         "code_version": code_version(),
     }
 

@@ -23,7 +23,7 @@ from tensorboardX.proto.summary_pb2 import Summary
 from tensorboardX.record_writer import masked_crc32c
 
 from gnnjax.errors import InputError, check_seed, needs_extra
-from gnnjax.files import atomic_write, check_target, locked
+from gnnjax.files import as_json, atomic_write, check_target, locked
 from gnnjax.progress_bar import progress_bar
 from gnnjax.training.checkpoint import TrainingCheckpoints
 from gnnjax.training.parallel import everywhere, here
@@ -122,7 +122,7 @@ def check_bounds(config: Any, least: dict[str, int]) -> None:
 
 def settings_of(config: Any) -> dict[str, Any]:
     """A configuration as JSON, without what may differ when a run goes on."""
-    settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+    settings = as_json(dataclasses.asdict(config))
     for name in ("resume", "out", "cluster", "figure"):
         del settings[name]
     return settings
