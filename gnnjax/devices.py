@@ -39,8 +39,16 @@ def platform() -> str:
 
 
 @contextmanager
+def in_single_precision() -> Iterator[None]:
+    """Has functions be traced as they were written, also where `jax_enable_x64` is set: numbers
+    that have no type are of single precision."""
+    with jax.enable_x64(False):
+        yield
+
+
+@contextmanager
 def on_host() -> Iterator[None]:
-    """Has functions run on the CPU, also where JAX has an accelerator.
+    """Has functions run on the CPU, also where JAX has an accelerator, and in single precision.
 
     For many small calls in a row, as searches make them: an H100 takes half a millisecond or more
     for each, and with all of its calls there a batch of 256 plans took three times as long as on a
@@ -50,7 +58,8 @@ def on_host() -> Iterator[None]:
         InputError: JAX was told to do without its CPU.
     """
     if platform() == "cpu":
-        yield
+        with in_single_precision():
+            yield
         return
     try:
         device = jax.local_devices(backend="cpu")[0]
@@ -59,7 +68,7 @@ def on_host() -> Iterator[None]:
             f"JAX_PLATFORMS is {jax.config.jax_platforms!r}, and searches need the CPU, too; "
             "leave it out, or add ',cpu'"
         ) from None
-    with jax.default_device(device):
+    with jax.default_device(device), in_single_precision():
         yield
 
 
@@ -119,7 +128,7 @@ def side_by_side(function: Callable[[Share], list], shares: list[Share]) -> list
     """
 
     def call(share: Share) -> list:
-        with share.at_home():
+        with share.at_home(), in_single_precision():  # which other threads are not in
             return function(share)
 
     if len(shares) == 1:

@@ -10,7 +10,7 @@ import re
 import reprlib
 import select
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import Any, NoReturn, TextIO, TypeGuard
 
 import jax
@@ -40,9 +40,10 @@ class InputError(ValueError):
         super().__init__(one_line(message))
 
 
-def is_list(values: object) -> TypeGuard[Iterable[Any]]:
-    """Whether there are items to go through; a text is no list."""
-    return isinstance(values, Iterable) and not isinstance(values, str)
+def is_list(values: object) -> TypeGuard[Collection[Any]]:
+    """Whether there are items to go through, as often as one likes; a text is no list, and what
+    can be gone through once, as a generator, has nothing left after the first look."""
+    return isinstance(values, Collection) and not isinstance(values, str)
 
 
 def is_pair_of_names(value: object) -> TypeGuard[tuple[str, str]]:

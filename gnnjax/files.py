@@ -58,9 +58,11 @@ def check_apart(written: Sequence[Path | None], read: Sequence[str | Path | None
 
     Args:
         written: files of the command, None where it writes none.
-        read: what it reads, which it must not replace.
+        read: what it reads, which it must not replace, nor files that a JSON of these names.
     """
-    taken = {Path(path).resolve(): "read from" for path in read if path is not None}
+    known = [Path(path) for path in read if path is not None]
+    known += [file for path in known for file in _named_in(path)]
+    taken = {path.resolve(): "read from" for path in known}
     for path in written:
         if path is None:
             continue
@@ -70,6 +72,25 @@ def check_apart(written: Sequence[Path | None], read: Sequence[str | Path | None
                 f"{str(path)!r} would be written, and is also {taken[where]}; name another file"
             )
         taken[where] = "written otherwise"
+
+
+def _named_in(path: Path) -> list[Path]:
+    """Files that a JSON file names, from its folder on; whoever reads it tells what is wrong with
+    it."""
+    if path.suffix.lower() != ".json":
+        return []
+    found: list[Path] = []
+
+    def look(value: object) -> None:
+        if isinstance(value, str) and len(value) < 4096 and "\0" not in value:
+            found.append(path.parent / value)
+        elif isinstance(value, dict | list):
+            for one in value.values() if isinstance(value, dict) else value:
+                look(one)
+
+    with contextlib.suppress(OSError, ValueError, RecursionError):
+        look(json.loads(path.read_text(encoding="utf-8")))
+    return found
 
 
 def atomic_write(path: str | Path, write: Callable[[Path], object]) -> None:

@@ -7,6 +7,7 @@ for those who want to change them by hand, or plan without the exact shapes.
 """
 
 import dataclasses
+import itertools
 from pathlib import Path
 from typing import Annotated
 
@@ -92,11 +93,16 @@ def mjcf_of_spheres(robot: Robot) -> str:
     keep_inertias(spec, model)
     bodies = {body.id: body for body in spec.bodies}
     geoms = {geom.id: geom for geom in spec.geoms}
+    spheres: dict[str, list[str]] = {}  # in the place of geoms that have names
     for number, (part, g) in enumerate(zip(robot.parts, robot.part_geoms.tolist(), strict=True)):
         if len(part.vertices) <= 2:
             continue
-        for row in np.flatnonzero(robot.sphere_parts == number):
+        rows = np.flatnonzero(robot.sphere_parts == number)
+        if name := geoms[g].name:
+            spheres[name] = [f"{name}_sphere_{i}" for i in range(len(rows))]
+        for i, row in enumerate(rows):
             bodies[part.body + 1].add_geom(
+                name=spheres[name][i] if name else "",
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
                 pos=robot.sphere_centers[row],
                 size=[robot.sphere_radii[row] + _ROUNDING, 0, 0],
@@ -107,6 +113,13 @@ def mjcf_of_spheres(robot: Robot) -> str:
                 rgba=[0.2, 0.6, 0.9, 0.35],
             )
         spec.delete(geoms[g])
+    for pair in list(spec.pairs):
+        ends = [spheres.get(name, [name]) for name in (pair.geomname1, pair.geomname2)]
+        if len(ends[0]) == len(ends[1]) == 1 and ends[0][0] == pair.geomname1:
+            continue
+        spec.delete(pair)
+        for first, second in itertools.product(*ends):
+            spec.add_pair(geomname1=first, geomname2=second)
     # Meshes that nothing shows any more; others are read from where they are.
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):

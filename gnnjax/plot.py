@@ -15,7 +15,7 @@ from gnnjax.arm.robot import Robot
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.allowed import last_link
-from gnnjax.scene.scene import Scene, rotation_matrices
+from gnnjax.scene.scene import Scene, check_single, rotation_matrices
 from gnnjax.scene.shapes import KINDS, for_every_kind, known_kinds
 
 _MOST_POINTS = 5000  # of a cloud that are drawn
@@ -37,9 +37,17 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
         out: picture file; its ending chooses the format.
 
     Raises:
-        InputError: an ending that names no format; an obstacle that is of no kind.
+        InputError: an ending that names no format; no path, as of a plan that failed; no scene,
+            or several in one; an obstacle that is of no kind.
     """
     check_picture(out)
+    check_single(scene)
+    path = np.asarray(path)
+    if path.ndim != 2 or not len(path) or path.shape[1] != robot.num_dof:
+        raise InputError(
+            f"the path has shape {path.shape}; {robot.name} needs [L, {robot.num_dof}], one "
+            "configuration or more"
+        )
     figure = Figure(figsize=(9, 4.4), layout="constrained")
     shots = _along(path, 7)
     positions, rotations = (np.asarray(x) for x in forward_kinematics(robot, jnp.asarray(shots)))

@@ -85,6 +85,13 @@ def test_the_clock_stands_still_while_something_is_made_for_the_first_time(monke
     assert clock.now() == 1.0
 
 
+def test_plans_are_the_same_for_whoever_computes_in_double_precision(cheap, problems, cheap_plans):
+    with jax.enable_x64(True):
+        again = cheap.plan_batch(problems)
+    for plan, other in zip(cheap_plans, again, strict=True):
+        np.testing.assert_array_equal(plan.path, other.path)
+
+
 def test_the_field_guides_to_certified_paths(planner, problems, plans):
     assert 5 <= sum(plan.success for plan in plans) < NUM
     assert sum(plan.success and len(plan.path) > 2 for plan in plans) >= 3

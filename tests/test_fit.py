@@ -229,6 +229,18 @@ def test_the_command_shows_and_saves_spheres_that_load_as_the_same_arm(tmp_path,
     np.testing.assert_allclose(saved.mj_model.body_inertia, robot.mj_model.body_inertia, atol=1e-5)
 
 
+@pytest.mark.parametrize("hold", [(), (("turn", 0.3),)])
+def test_arms_with_pairs_that_are_named_are_saved(tmp_path, hold):
+    named = BRICKS.replace('<joint axis="0 0 1"', '<joint name="turn" axis="0 0 1"')
+    pair = '<contact><pair geom1="beam" geom2="ball"/></contact></mujoco>'
+    (tmp_path / "paired.xml").write_text(named.replace("</mujoco>", pair))
+    robot = fit(FitConfig(str(tmp_path / "paired.xml"), out=tmp_path / "round.xml", hold=hold))
+    saved = load_robot(tmp_path / "round.xml")
+    assert robot.mj_spec.pairs
+    assert saved.num_dof == robot.num_dof
+    assert len(saved.sphere_pairs) == len(robot.sphere_pairs)
+
+
 LIMITS = """<custom><numeric name="velocity_limit" data="1.25 2.5"/>
 <numeric name="acceleration_limit" data="7 9"/></custom></mujoco>"""
 URDF = """<robot name="arm"><link name="base"/><link name="upper"><collision><geometry>

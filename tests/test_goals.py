@@ -122,7 +122,7 @@ def test_of_several_goals_the_cheapest_is_planned_to(planner):
     assert plan.certified
     np.testing.assert_array_equal(plan.path, cheapest.path)
     assert plan.edge_checks > cheapest.edge_checks
-    again = planner.plan(scene, start, goals=goals[::-1])
+    again = planner.plan(scene, start, goals=8 * [goals[1]] + goals[::-1])
     np.testing.assert_array_equal(plan.path, again.path)
 
 
@@ -187,6 +187,8 @@ def test_a_margin_is_kept_at_the_pose(tiny_path):
         ({"goal": [0.0] * 3, "goals": [[0.0] * 3]}, "just one of goal, goals and goal_pose"),
         ({"goals": []}, "goals are .*; tiny needs a list of one or more, with 3 joint values each"),
         ({"goals": [0.0, 1.0, 0.0]}, "goals are .*; tiny needs a list"),
+        ({"goals": [[10**400, 0, 0]]}, "goals are .*; tiny needs a list"),
+        ({"goal": [10**400, 0, 0]}, "goal .* is not a list of numbers"),
         ({"goals": [["a", 0, 0]]}, "goals are .*; tiny needs a list"),
         ({"goals": [[9.0, 0, 0]]}, "none of 1 goals can be planned to: goal has 9 for joint a"),
         (

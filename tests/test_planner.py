@@ -295,6 +295,28 @@ def test_what_can_be_refused_is_refused_before_planning(
     assert [path.name for path in tmp_path.iterdir()] == ["scene.json"]
 
 
+def test_files_that_a_scene_names_are_not_written_over(tiny_path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rooms").mkdir()
+    points = tmp_path / "rooms" / "camera.npz"
+    np.savez(points, points=np.array([[0.0, 0.0, 2.5]]))
+    before = points.read_bytes()
+    scene = {"clouds": [{"points": "camera.npz", "radius": 0.01}]}
+    (tmp_path / "rooms" / "scene.json").write_text(json.dumps(scene))
+    for ends in ({"out": Path("rooms/camera.npz")}, {"out": points}):
+        with pytest.raises(InputError, match="would be written, and is also read from"):
+            plan_once(
+                PlanConfig(
+                    scene=Path("rooms/scene.json"),
+                    start=(0.0, 0.0, 0.0),
+                    goal=(1.0, 0.0, 0.0),
+                    robot=str(tiny_path),
+                    **ends,
+                )
+            )
+    assert points.read_bytes() == before
+
+
 def test_an_arm_of_a_box_is_planned_for_and_its_name_is_said(tmp_path):
     path = tmp_path / "brick.xml"
     path.write_text(

@@ -233,6 +233,30 @@ def test_a_pose_out_of_reach_comes_with_how_near_the_arm_came(tiny):
     assert (np.diff(found.position_error + 0.3 * found.rotation_error)[:3] >= 0).all()
 
 
+def test_a_joint_that_turns_often_is_in_the_turn_within_limits_that_is_nearest(tmp_path):
+    path = tmp_path / "often.xml"
+    path.write_text(SIX.replace("-7 7", "-12 12"))
+    robot, q = load_robot(path), np.zeros(7, np.float32)
+    goal, d = pose_at(robot, q), robot.joint_names.index("d")
+    for near in (11.9, 5.0, -11.9):
+        q[d] = near
+        found = inverse_kinematics(robot, goal, near=q)
+        values = found.q[found.valid][:, d]
+        assert len(values) > 1
+        for turn in (-2 * np.pi, 2 * np.pi):
+            other = values + turn
+            assert ((abs(other) > 12) | (abs(other - near) > abs(values - near) - 1e-4)).all()
+
+
+def test_joints_that_do_not_move_the_frame_stay_where_they_are(six):
+    near = random_configurations(six, 1)[0]
+    goal = pose_at(six, random_configurations(six, 2, seed=5)[1], "second")
+    found = inverse_kinematics(six, goal, near=near)
+    assert found.valid.any()
+    own = [six.joint_names.index(name) for name in ("c", "d", "e", "f")]
+    assert abs(found.q[found.valid][:, own] - near[own]).max() < 1e-6
+
+
 GOOD = PoseGoal([0.5, 0.0, 0.3], [1.0, 0.0, 0.0, 0.0])
 
 
@@ -250,6 +274,7 @@ GOOD = PoseGoal([0.5, 0.0, 0.3], [1.0, 0.0, 0.0, 0.0])
         ({"position": np.zeros((0, 3)), "quat": np.zeros((0, 4))}, r"of shape \(0, 3\)"),
         ({"position": ["a", 0, 0]}, "not made of numbers"),
         ({"free": "rz"}, "free axes 'rz'; give a list"),
+        ({"free": (x for x in ["rz"])}, "free axes <generator.*; give a list"),
         ({"free": ["roll"]}, r"free axes \['roll'\]; give a list of \['x', 'y'"),
         ({"free": ["rx", "ry"]}, r"\['rx', 'ry'\] free; give one axis of turns, or all three"),
         ({"free": ["x", "y", "z", "rx", "ry", "rz"]}, "all axes free, and asks for nothing"),
@@ -269,6 +294,7 @@ def test_a_bad_pose_is_refused_with_its_value(tiny, change, message):
         ({"near": [0.0, 1.0]}, r"near is \[0.0, 1.0\]; tiny needs 3 joint values"),
         ({"near": [0.0, np.nan, 0.0]}, "near is .*; tiny needs 3 joint values"),
         ({"num_solutions": 0}, "num_solutions is 0; ask for 1 or more"),
+        ({"num_solutions": True}, "num_solutions is True; ask for 1 or more"),
         ({"margin": -0.1}, "margin is -0.1; it must be 0 m or more"),
         ({"seed": -1}, "seed is -1"),
         ({"scene": stack_scenes([make_scene([], [])] * 2)}, "the scene is 2 in one; give one"),

@@ -17,9 +17,20 @@ from gnnjax.scene import shapes
 from gnnjax.scene.batches import stack_scenes
 from gnnjax.scene.cloud import Balls
 from gnnjax.scene.mujoco_world import build_world, place_obstacles
-from gnnjax.scene.scene import inflated, scene_from_shapes
-from gnnjax.scene.scene_file import scene_to_json
-from gnnjax.scene.shapes import KINDS, TABLES, Shape, box, capsule, cylinder, for_every_kind, sphere
+from gnnjax.scene.numbers import check_shapes
+from gnnjax.scene.scene import inflated, obstacle_name, scene_from_shapes
+from gnnjax.scene.scene_file import scene_from_json, scene_to_json
+from gnnjax.scene.shapes import (
+    KINDS,
+    TABLES,
+    Shape,
+    box,
+    capsule,
+    cylinder,
+    for_every_kind,
+    half_space,
+    sphere,
+)
 from gnnjax.viewer.answers import Query
 from gnnjax.viewer.session import Session
 
@@ -111,6 +122,22 @@ def test_an_entry_that_is_no_kind_is_refused():
 def test_what_is_no_shape_or_no_cloud_is_not_left_out_of_a_scene(shapes, clouds, message):
     with pytest.raises(InputError, match=message):
         scene_from_shapes(shapes, clouds=clouds)
+
+
+@pytest.mark.parametrize("once", [(x for x in [sphere([0, 0, 1], 0.1)]), map(str, [1]), iter([])])
+def test_what_can_be_gone_through_once_is_no_list(once):
+    with pytest.raises(InputError, match=r"shapes is <.*; give a list of box"):
+        inspect.unwrap(check_shapes)(once, "shapes")
+
+
+def test_a_box_of_the_size_that_stands_for_half_spaces_stays_a_box(tmp_path):
+    scene = scene_from_shapes([box([50.9, 0, 0], [50, 50, 50]), half_space([0, 0, -1], [0, 0, 1])])
+    scene_to_json(scene, tmp_path / "wall.json")
+    again = scene_from_json(tmp_path / "wall.json")
+    np.testing.assert_array_equal(again.mask, scene.mask)
+    np.testing.assert_allclose(again.centers[:2], scene.centers[:2], atol=1e-4)
+    np.testing.assert_allclose(again.half_extents[:2], scene.half_extents[:2], atol=1e-4)
+    assert obstacle_name(scene, 0) == "box 0"
 
 
 def placed_in_mujoco(scene, tiny, file):

@@ -14,7 +14,7 @@ from gnnjax.collision.obstacles import Obstacles, obstacles_of, owners_of, scene
 from gnnjax.collision.travel import Moments, straight_motions
 from gnnjax.errors import InputError, as_typed, brief
 from gnnjax.scene.allowed import check_allowed, check_arm
-from gnnjax.scene.scene import Scene
+from gnnjax.scene.scene import Scene, check_is_scene, check_single
 
 # Pieces of a path shorter than this (configuration units) are not cut further: a path that comes
 # this close to touching is refused.
@@ -235,19 +235,6 @@ def cut(
     return edge[row], at(step), at(step + 1)
 
 
-def check_is_scene(scene: object) -> None:
-    """Refuses what is no scene, nor several in one.
-
-    Raises:
-        InputError: names what it is.
-    """
-    if not isinstance(scene, Scene):
-        raise InputError(
-            f"the scene is a {type(scene).__name__}; make one with make_scene, scene_from_shapes "
-            "or scene_from_json"
-        )
-
-
 def check_scene(scene: Scene) -> None:
     """Refuses one scene that nothing can be proven in.
 
@@ -255,9 +242,7 @@ def check_scene(scene: Scene) -> None:
         InputError: what is no scene, or several; a box that is not finite, has no size, or a
             quaternion that is not normalized.
     """
-    check_is_scene(scene)
-    if np.ndim(scene.mask) != 1:
-        raise InputError(f"the scene is {len(scene.mask)} in one; give one after the other")
+    check_single(scene)
     for fault in scene_faults(scene):
         if fault is not None:
             raise InputError(fault)

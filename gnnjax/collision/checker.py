@@ -8,12 +8,14 @@ Geoms that no joint moves (an arm's base) are not tested against boxes: no confi
 the outcome. `obstacles_clear` tests them, once a scene.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import ArrayLike
 
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import can_rest
@@ -29,6 +31,7 @@ from gnnjax.collision.fused import fused_functions
 from gnnjax.collision.levels import BLOCKED, Levels
 from gnnjax.collision.spheres import in_table
 from gnnjax.collision.stretches import Edges, Stretches
+from gnnjax.devices import in_single_precision
 from gnnjax.errors import InputError
 from gnnjax.scene.scene import Scene
 
@@ -136,10 +139,21 @@ def make_checker(
         levels = Levels(check_first, second)
     return Checker(
         functions.clearance,
-        check_configurations,
+        _single(check_configurations),
         functions.place,
         check_each,
-        check_edges,
-        edges_free,
+        _single(check_edges),
+        _single(edges_free),
         levels,
     )
+
+
+def _single(function: Callable) -> Callable:
+    """A function of a scene and configurations, in single precision whatever is set or given."""
+
+    @functools.wraps(function)
+    def single(scene: Scene, *configurations: ArrayLike) -> Any:
+        with in_single_precision():
+            return function(scene, *(jnp.asarray(q, jnp.float32) for q in configurations))
+
+    return single

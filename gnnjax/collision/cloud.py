@@ -145,6 +145,7 @@ def with_clouds(robot: Robot, functions: CollisionFunctions) -> CollisionFunctio
         free = functions.collision_free(scene._replace(cloud=None), nodes)
         if scene.cloud is None:
             return free
+        nodes = jnp.asarray(nodes)  # rows are taken out by what only a compiled loop knows
         placed = place(jax.tree.map(lambda x: jnp.asarray(x)[None], scene))
         return decided(placed, jnp.zeros(1, jnp.int32), nodes[None], free[None])[0]
 

@@ -88,8 +88,9 @@ def _valid(
     """
     start, _ = check_query(robot, scene, start, start, margin)
     try:
-        ends: np.ndarray = np.asarray(goals, np.float32)
-    except (TypeError, ValueError):
+        with np.errstate(over="ignore"):  # infinite in single precision, and refused as such
+            ends: np.ndarray = np.asarray(goals, np.float32)
+    except (TypeError, ValueError, OverflowError):
         ends = np.zeros(0, np.float32)
     if ends.ndim != 2 or not len(ends) or ends.shape[1] != robot.num_dof:
         raise InputError(
@@ -105,6 +106,7 @@ def _valid(
     if bad:
         _LOG.warning("%d of %d goals are left out: %s", len(bad), num, reasons[bad[0]])
         ends = np.delete(ends, bad, axis=0)
+    ends = np.unique(ends, axis=0)
     order = np.argsort(np.linalg.norm(ends - start, axis=1), kind="stable")
     return start, ends[order[:MOST_GOALS]]
 

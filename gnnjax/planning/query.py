@@ -94,7 +94,7 @@ def check_query(
     for name, q in (("start", start), ("goal", goal)):
         try:
             q = _single(q)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"{name} {q!r} is not a list of numbers") from None
         if q.shape != (robot.num_dof,):
             raise InputError(

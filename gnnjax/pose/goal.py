@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from gnnjax.arm.parts import quat_to_matrix
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief
+from gnnjax.errors import InputError, brief, is_list
 from gnnjax.scene.allowed import last_link
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -95,11 +95,8 @@ def check_goal(goal: PoseGoal) -> tuple[np.ndarray, np.ndarray]:
     length = np.linalg.norm(quat, axis=-1, keepdims=True)
     near = np.abs(length - 1) <= _LENGTH_ERROR
     _refuse("quaternion", quat, near, "of length 1, as w x y z")
-    try:
-        free = list(goal.free)
-    except TypeError:
-        free = [goal.free]
-    if isinstance(goal.free, str) or any(axis not in AXES for axis in free):
+    free = list(goal.free) if is_list(goal.free) else [goal.free]
+    if not is_list(goal.free) or any(axis not in AXES for axis in free):
         raise InputError(f"the pose has free axes {brief(goal.free)}; give a list of {list(AXES)}")
     if not isinstance(goal.frame, str | None):
         raise InputError(f"the frame is {brief(goal.frame)}; give the name of a site or body")

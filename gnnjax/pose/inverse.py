@@ -19,9 +19,14 @@ from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import rests
 from gnnjax.collision.certify import check_scene
 from gnnjax.collision.clearances import clearances
-from gnnjax.devices import cache_compilations, map_first, run_where_called
+from gnnjax.devices import (
+    cache_compilations,
+    in_single_precision,
+    map_first,
+    run_where_called,
+)
 from gnnjax.errors import InputError, brief, check_number, check_seed
-from gnnjax.pose.chain import chain_of
+from gnnjax.pose.chain import Chain, chain_of
 from gnnjax.pose.goal import AXES, PoseGoal, check_goal, tool_frame
 from gnnjax.pose.solver import LEVER, Reached, Target, descend
 from gnnjax.roadmap.sobol import sobol_points
@@ -51,6 +56,7 @@ class Solutions(NamedTuple):
     distance: Float[np.ndarray, "*batch K"]  # from the configuration that is wanted near
 
 
+@in_single_precision()
 def inverse_kinematics(
     robot: Robot,
     goal: PoseGoal,
@@ -78,7 +84,11 @@ def inverse_kinematics(
         InputError: a goal, scene or configuration that is none.
     """
     position, quat = check_goal(goal)
-    if not isinstance(num_solutions, int | np.integer) or num_solutions < 1:
+    if (
+        isinstance(num_solutions, bool)
+        or not isinstance(num_solutions, int | np.integer)
+        or num_solutions < 1
+    ):
         raise InputError(f"num_solutions is {num_solutions}; ask for 1 or more")
     check_number(margin, "margin")
     if not margin >= 0:
@@ -94,7 +104,7 @@ def inverse_kinematics(
     found: list[list[Solutions]] = [[] for _ in range(num)]
     left = np.arange(num)
     for number in range(_ROUNDS):
-        starts = _starts(robot, home, check_seed(seed), number)
+        starts = _starts(robot, goal.frame, home, check_seed(seed), number)
         for first in range(0, len(left), _POSES):
             rows = left[first : first + _POSES]
             ends = _ends(robot, goal, targets, rows, starts)
@@ -113,7 +123,7 @@ def prepare(robot: Robot, frame: str | None) -> None:
     """Compiles what `inverse_kinematics` needs."""
     goal = PoseGoal(np.zeros(3), IDENTITY_QUAT, frame=frame)
     targets = _targets(goal, np.zeros((1, 3)), np.array([IDENTITY_QUAT]))
-    _ends(robot, goal, targets, np.zeros(1, int), _starts(robot, robot.home, 0, 0))
+    _ends(robot, goal, targets, np.zeros(1, int), _starts(robot, frame, robot.home, 0, 0))
 
 
 @functools.cache
@@ -141,12 +151,18 @@ def _targets(goal: PoseGoal, position: np.ndarray, quat: np.ndarray) -> Target:
     return Target(position.astype(np.float32), rotation, counts[:, :3], counts[:, 3:])
 
 
-def _starts(robot: Robot, home: np.ndarray, seed: int, number: int) -> np.ndarray:
-    """Where the descents of a round begin, `[S D]`."""
+def _starts(
+    robot: Robot, frame: str | None, home: np.ndarray, seed: int, number: int
+) -> np.ndarray:
+    """Where the descents of a round begin, `[S D]`. In the first, joints that do not move the frame
+    are where they are at home, from where no descent takes them."""
     points = _points(robot.num_dof, seed, number)
     starts = robot.drawn_lower + points * (robot.drawn_upper - robot.drawn_lower)
     if number == 0:
-        starts[0] = np.clip(home, robot.joint_lower, robot.joint_upper)
+        at_home = np.clip(home, robot.joint_lower, robot.joint_upper)
+        beside = ~np.isin(np.arange(robot.num_dof), _chain(robot, frame).joints)
+        starts[:, beside] = at_home[beside]
+        starts[0] = at_home
     return starts.astype(np.float32)
 
 
@@ -156,11 +172,16 @@ def _points(num_dims: int, seed: int, number: int) -> np.ndarray:
 
 
 @functools.cache
+def _chain(robot: Robot, frame: str | None) -> Chain:
+    return chain_of(robot, tool_frame(robot, frame))
+
+
+@functools.cache
 def _compiled(robot: Robot, frame: str | None) -> Callable[..., Reached]:
     """Descends to the first of some poses `[P ...]` from the same configurations `[S D]` each."""
     cache_compilations()
     run_where_called()
-    chain = chain_of(robot, tool_frame(robot, frame))
+    chain = _chain(robot, frame)
 
     def function(targets: Target, num: jax.Array, starts: jax.Array) -> Reached:
         return map_first(lambda target: descend(robot, chain, target, starts), num, targets)
@@ -183,13 +204,20 @@ def _judged(
 ) -> Solutions:
     """All ends of descents `[R S ...]`, whether they are solutions or not."""
     q = np.asarray(ends.q)
-    # Of joints that turn more than once, the turn that is nearest.
-    turns = np.where(robot.turns_more_than_once, np.round((home - q) / (2 * np.pi)), 0)
+    # Of joints that turn more than once, the turn within limits that is nearest.
+    lower, upper = robot.joint_lower - q, robot.joint_upper - q
+    turns = np.clip(
+        np.round((home - q) / (2 * np.pi)),
+        np.ceil(lower / (2 * np.pi)),
+        np.floor(upper / (2 * np.pi)),
+    )
+    turns = np.where(robot.turns_more_than_once, turns, 0)
     turned = (q + 2 * np.pi * turns).astype(np.float32)
     inside = (turned >= robot.joint_lower) & (turned <= robot.joint_upper)
     q = np.where(inside, turned, q)
     place, turn = np.asarray(ends.position_error), np.asarray(ends.rotation_error)
-    reached = (place <= goal.tolerance[0]) & (turn <= goal.tolerance[1])
+    most_away, most_turned = (float(x) for x in goal.tolerance)
+    reached = (place <= most_away) & (turn <= most_turned)
     valid = reached.copy()
     if reached.any():
         free = clearances(robot, scene, q[reached], most=0.0) > 0

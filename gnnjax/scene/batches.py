@@ -7,7 +7,7 @@ import numpy as np
 
 from gnnjax.errors import InputError
 from gnnjax.scene.cloud import no_cloud, with_room
-from gnnjax.scene.scene import Scene, pad_scene
+from gnnjax.scene.scene import Scene, check_is_scene, pad_scene
 
 
 def stack_scenes(scenes: Sequence[Scene]) -> Scene:
@@ -17,6 +17,8 @@ def stack_scenes(scenes: Sequence[Scene]) -> Scene:
     Raises:
         InputError: no scene, or one in which contacts are meant of another arm.
     """
+    for scene in scenes:
+        check_is_scene(scene)
     if not scenes:
         raise InputError("there are no scenes to stack; give one or more")
     most = max(scene.mask.shape[-1] for scene in scenes)

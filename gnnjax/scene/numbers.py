@@ -84,6 +84,9 @@ def sums_from(kind: str, columns: dict[str, Sequence | np.ndarray], source: str)
                 f"half_space {int(above.argmax())} of {source} reaches {above.max():g} m beyond "
                 "the base and leaves no arm any room; give a normal that points out of it"
             )
+    if kind == "box":  # which of this very size would stand for half-spaces
+        huge = (np.float32(values["half_extents"]) == HALF_SPACE).all(axis=1)
+        values["half_extents"][huge] = np.nextafter(np.float32(HALF_SPACE), np.float32(np.inf))
     return sums_of(kind, values)
 
 

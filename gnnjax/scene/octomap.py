@@ -55,6 +55,8 @@ def octomap(
         raise InputError(f"no {called}; check the path") from None
     except IsADirectoryError:
         raise InputError(f"{called} is a folder; name a file") from None
+    except (OSError, ValueError) as error:  # a name that no file can have
+        raise InputError(f"{called} cannot be read: {error}") from None
     head, _, data = content.partition(b"\ndata\n")
     binary = _HEADERS.get(head.partition(b"\n")[0].rstrip())
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]

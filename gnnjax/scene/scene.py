@@ -68,6 +68,31 @@ def obstacle_bucket(num: int, source: str = "the scene") -> int:
     )
 
 
+def check_is_scene(scene: object) -> None:
+    """Refuses what is no scene, nor several in one.
+
+    Raises:
+        InputError: names what it is.
+    """
+    if not isinstance(scene, Scene):
+        raise InputError(
+            f"the scene is a {type(scene).__name__}; make one with make_scene, scene_from_shapes "
+            "or scene_from_json"
+        )
+
+
+def check_single(scene: object) -> None:
+    """Refuses what is no scene, and several in one.
+
+    Raises:
+        InputError: names what it is.
+    """
+    check_is_scene(scene)
+    assert isinstance(scene, Scene)
+    if np.ndim(scene.mask) != 1:
+        raise InputError(f"the scene is {len(scene.mask)} in one; give one after the other")
+
+
 def scene_from_shapes(
     shapes: Sequence,
     *,

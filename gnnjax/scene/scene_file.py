@@ -16,7 +16,7 @@ from gnnjax.scene.numbers import number_of
 from gnnjax.scene.octomap import octomap
 from gnnjax.scene.own_points import MARGIN, without_robot
 from gnnjax.scene.point_files import points_from_file
-from gnnjax.scene.scene import Scene, obstacle_bucket, scene_from_shapes
+from gnnjax.scene.scene import Scene, check_single, obstacle_bucket, scene_from_shapes
 from gnnjax.scene.shapes import (
     FIELDS,
     IDENTITY_QUAT,
@@ -252,7 +252,12 @@ def _checked(kind: str, values: Any, called: str) -> dict[str, Any]:
 
 
 def scene_to_json(scene: Scene, path: str | Path) -> None:
-    """Writes the existing obstacles of one scene as JSON that `scene_from_json` reads."""
+    """Writes the existing obstacles of one scene as JSON that `scene_from_json` reads.
+
+    Raises:
+        InputError: no scene, several in one, or one in which contacts are meant.
+    """
+    check_single(scene)
     refuse_allowed(scene, "a scene file without an arm")
     kinds = known_kinds(scene.half_extents, scene.radii, scene.mask)
     lists: dict[str, list] = {}

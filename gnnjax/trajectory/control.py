@@ -13,7 +13,7 @@ import numpy as np
 
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import torques_at_rest
-from gnnjax.errors import InputError
+from gnnjax.errors import InputError, brief
 from gnnjax.trajectory.states import Setpoints
 
 # rad/s, of errors under `computed_torque`, which they leave without overshoot: a hundredth of the
@@ -46,8 +46,8 @@ def control(robot: Robot, controller: str, points: Setpoints) -> Law:
     Raises:
         InputError: no such controller.
     """
-    if controller not in CONTROLLERS:
-        raise InputError(f"no controller {controller!r}; there are {list(CONTROLLERS)}")
+    if not isinstance(controller, str) or controller not in CONTROLLERS:
+        raise InputError(f"no controller {brief(controller)}; there are {list(CONTROLLERS)}")
     return CONTROLLERS[controller](robot, points)
 
 

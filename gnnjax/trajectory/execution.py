@@ -15,7 +15,7 @@ from gnnjax.collision.margins import largest_margin
 from gnnjax.errors import InputError, check_number
 from gnnjax.scene.allowed import last_link
 from gnnjax.scene.mujoco_world import obstacles
-from gnnjax.scene.scene import Scene, inflated, obstacle_name
+from gnnjax.scene.scene import Scene, check_is_scene, inflated, obstacle_name
 from gnnjax.trajectory.control import control
 from gnnjax.trajectory.dynamics import check_dynamics
 from gnnjax.trajectory.limits import ANY_TORQUE, Amounts, limits_of
@@ -122,6 +122,7 @@ def execute_trajectories(
     check_number(most_error, "most_error")
     if not 0 < most_error < np.inf:
         raise InputError(f"most_error is {most_error}; give a positive number (rad or m)")
+    check_is_scene(scene)
     several = np.ndim(scene.mask) == 2
     if several and len(scene.mask) != len(trajectories):
         raise InputError(

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import torques_at_rest
 from gnnjax.clock import Clock
-from gnnjax.collision.certify import beyond_limits, check_is_scene
+from gnnjax.collision.certify import beyond_limits
 from gnnjax.errors import InputError, check_number
-from gnnjax.scene.scene import Scene, inflated
+from gnnjax.scene.scene import Scene, check_is_scene, inflated
 from gnnjax.trajectory.clearance import clearances_of
 from gnnjax.trajectory.curve import Curve, places, stray
 from gnnjax.trajectory.dynamics import check_dynamics
