@@ -209,6 +209,18 @@ def _is_unread(stream: TextIO) -> bool:
     return bool(poll.poll(0))
 
 
+def as_floats(values: Any) -> np.ndarray:
+    """Numbers in double precision. Texts and truth values are none, which NumPy takes for such.
+
+    Raises:
+        TypeError, ValueError or OverflowError: there are others.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind in "bSUmM":
+        raise TypeError(f"{array.dtype} are no numbers")
+    return array.astype(float, copy=False)
+
+
 def check_number(value: Any, called: str) -> None:
     """Raises for what is no real number, such as its text, which nothing can be compared with."""
     if not isinstance(value, numbers.Real):

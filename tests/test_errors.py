@@ -15,6 +15,7 @@ import pytest
 from gnnjax.arm.robot import load_robot
 from gnnjax.errors import (
     InputError,
+    as_floats,
     as_typed,
     brief,
     check_number,
@@ -235,3 +236,17 @@ def test_numbers_are_said_as_they_were_typed():
     assert as_typed(np.float32(0.12).astype(float)) == 0.12
     assert as_typed([0.12345678901234, 1e300]) == [0.12345678901234, 1e300]
     assert np.isnan(as_typed(np.float32("nan")))
+
+
+@pytest.mark.parametrize(
+    "values", [["1", "2"], [True, False], "1", [[b"1"]], [np.datetime64("now")]]
+)
+def test_texts_and_truth_values_are_no_numbers(values):
+    with pytest.raises(TypeError):
+        as_floats(values)
+
+
+def test_numbers_of_any_kind_are_numbers():
+    assert as_floats([[1, 2.5], [np.float32(3), 4]]).tolist() == [[1.0, 2.5], [3.0, 4.0]]
+    with pytest.raises(OverflowError):
+        as_floats([10**400])

@@ -35,7 +35,7 @@ from gnnjax.arm.kinematics import (
 from gnnjax.arm.reading import motor_limits
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.shipped import in_kind
-from gnnjax.errors import InputError, brief, check_number
+from gnnjax.errors import InputError, as_floats, brief, check_number
 
 Amounts: TypeAlias = float | int | Sequence | np.ndarray  # one for all joints, or one each
 
@@ -128,7 +128,7 @@ def positive_amounts(robot: Robot, name: str, values: Amounts) -> np.ndarray:
         InputError: others than positive numbers, or too many.
     """
     try:
-        array = np.asarray(values, float)
+        array = as_floats(values)
     except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     fits = array.shape in ((), (1,), (robot.num_dof,))

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from gnnjax.errors import InputError, as_typed, check_number
+from gnnjax.errors import InputError, as_floats, as_typed, check_number
 
 NODES = 48  # of the grid, along each axis
 AROUND = 0.15  # m, of the grid beyond the points: where it ends, all spheres of an arm are clear
@@ -87,7 +87,7 @@ def point_cloud(
 def checked_points(points: Sequence | np.ndarray, source: str) -> np.ndarray:
     """Points as an array `[K, 3]`, or what is wrong with them; see `point_cloud`."""
     try:
-        array = np.asarray(points, float)
+        array = as_floats(points)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"points of {source} are not numbers; give [K, 3]") from None
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gnnjax.arm.parts import quat_to_matrix
-from gnnjax.errors import InputError, as_typed, brief, is_list
+from gnnjax.errors import InputError, as_floats, as_typed, brief, is_list
 from gnnjax.scene.cloud import MOST_METERS
 from gnnjax.scene.shapes import (
     FIELDS,
@@ -122,7 +122,7 @@ def rows(
 ) -> np.ndarray:
     """Numbers `[M, width]` of M obstacles, or what is wrong with them."""
     try:
-        array = np.asarray(values, dtype=float)
+        array = as_floats(values)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} of {source} are not numbers; give {width} a {kind}") from None
     if array.size == 0:
@@ -155,7 +155,7 @@ def rotation_of(quat: Sequence | np.ndarray, called: str) -> np.ndarray:
 def vector_of(value: Sequence | np.ndarray, called: str, width: int = 3) -> np.ndarray:
     """A vector as people give it, or what is wrong with it."""
     try:
-        array = np.asarray(value, float)
+        array = as_floats(value)
     except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
     if array.shape != (width,) or not np.isfinite(array).all():

@@ -11,7 +11,7 @@ import numpy as np
 
 from gnnjax.arm.parts import Part
 from gnnjax.arm.robot import Robot
-from gnnjax.errors import InputError, brief, check_number
+from gnnjax.errors import InputError, as_floats, brief, check_number
 from gnnjax.scene.cloud import checked_points
 
 MARGIN = 0.03  # m, unless told
@@ -47,7 +47,7 @@ def without_robot(
     """
     array = checked_points(points, source)
     try:
-        q = np.asarray(configuration, float)
+        q = as_floats(configuration)
     except (TypeError, ValueError, OverflowError):
         q = np.zeros(0)
     if q.shape != (robot.num_dof,) or not np.isfinite(q).all():

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gnnjax.arm.mesh_files import unit_of
-from gnnjax.errors import InputError, check_number
+from gnnjax.errors import InputError, as_floats, check_number
 from gnnjax.scene.cloud import MOST_METERS, RADIUS, Balls, point_cloud
 from gnnjax.scene.cloud import VOXEL as CLOUD_VOXEL
 from gnnjax.scene.numbers import rotation_of, vector_of
@@ -86,7 +86,7 @@ def height_field(
     """
     called = "the height field"
     try:
-        array = np.asarray(heights, float)
+        array = as_floats(heights)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"heights of {called} are not numbers; give [R, C]") from None
     if array.ndim != 2 or min(array.shape) < 2:
