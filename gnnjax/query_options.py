@@ -69,6 +69,8 @@ def read_query(
         if edited:
             given = tuple(robot.home.tolist()) if given is None else given
             goal = tuple(robot.home.tolist()) if not _ends(options) else goal
+        if goal is not None and options.goal_pose is not None:
+            raise InputError("a query has --goal and --goal-pose; give one of them")
         if given is None or (goal is None) == (options.goal_pose is None):
             raise InputError(
                 "a query needs --start and --goal, or a --request of MoveIt's; --goal-pose may "

@@ -246,7 +246,7 @@ def test_the_command_plans_to_a_pose(command, tiny_path):
     [
         (
             {"goal_pose": (0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), "goal": (0.0, 0.0, 0.0)},
-            "--goal-pose may take the place",
+            "a query has --goal and --goal-pose; give one of them",
         ),
         ({"goal": (0.0, 0.0, 0.0), "free": ("rz",)}, "--free and --tolerance are of a --goal-pose"),
         ({"goal_pose": (0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "the pose has the quaternion"),

@@ -33,10 +33,17 @@ def in_all_turns(robot: Robot, q: ArrayLike) -> Float[np.ndarray, "G D"]:
     except (TypeError, ValueError, OverflowError):
         given = np.zeros(0, np.float32)
     lower, upper = robot.joint_lower, robot.joint_upper
-    if given.shape != (robot.num_dof,) or not ((given >= lower) & (given <= upper)).all():
+    if given.shape != (robot.num_dof,):
         raise InputError(
             f"the configuration is {brief(q)}; {robot.name} needs {robot.num_dof} joint values "
             "within its limits"
+        )
+    outside = ~((given >= lower) & (given <= upper))
+    if outside.any():
+        joint = int(outside.argmax())
+        raise InputError(
+            f"the configuration has {given[joint]:.4g} for joint {robot.joint_names[joint]}; it "
+            f"must lie between {lower[joint]:.4g} and {upper[joint]:.4g}"
         )
     values = []
     for value, low, high, turns in zip(
