@@ -29,7 +29,7 @@ def test_what_is_attached_from_a_file_with_other_units_is_held_where_it_stands(t
     held = {"its_bend": -1.0, "its_slip": 0.05, "its_left": 0.01, "its_right": 0.02}
     robot = load_robot(path, hold=held)
     assert same_poses(robot, robot.held, "its_")
-    np.testing.assert_allclose([robot.joint_lower, robot.joint_upper], [[-np.pi], [np.pi]])
+    np.testing.assert_allclose([robot.joint_lower, robot.joint_upper], [[-2 * np.pi], [2 * np.pi]])
 
 
 def test_joints_are_asked_for_by_name_and_the_same_arguments_give_the_same_arm(tmp_path):
@@ -113,17 +113,22 @@ def test_joints_and_bodies_that_do_not_fit_are_refused(tmp_path, settings, messa
         load_robot(written(tmp_path), **settings)
 
 
-def test_a_joint_without_limits_gets_half_a_turn_either_way(tmp_path, caplog):
+def test_a_joint_without_limits_gets_a_turn_either_way(tmp_path, caplog):
     path = written(tmp_path, change=lambda text: text.replace("0.1 0.5 0.02", "3.5 0.5 0.02"))
     robot = load_robot(path)
-    np.testing.assert_allclose([robot.joint_lower[0], robot.joint_upper[0]], [-np.pi, np.pi])
+    np.testing.assert_allclose(
+        [robot.joint_lower[0], robot.joint_upper[0]], [-2 * np.pi, 2 * np.pi]
+    )
+    np.testing.assert_allclose([robot.drawn_lower[0], robot.drawn_upper[0]], [-np.pi, np.pi])
     np.testing.assert_allclose(robot.home[0], 3.5 - 2 * np.pi, atol=1e-6)
-    assert "joints without limits are planned within half a turn either way: turn" in caplog.text
+    assert "start and goal, which may be a turn away: turn" in caplog.text
     degrees = written(
         tmp_path, change=lambda text: text.replace("radian", "degree").replace("0.1 0.5", "0 0")
     )
     again = load_robot(degrees.rename(tmp_path / "degrees.xml"))
-    np.testing.assert_allclose([again.joint_lower[0], again.joint_upper[0]], [-np.pi, np.pi])
+    np.testing.assert_allclose(
+        [again.joint_lower[0], again.joint_upper[0]], [-2 * np.pi, 2 * np.pi]
+    )
 
 
 def test_a_slide_without_limits_is_held_and_that_is_said(tmp_path):

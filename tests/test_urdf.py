@@ -107,12 +107,12 @@ def test_a_urdf_is_read_with_its_limits_and_its_mimicking_finger_is_held(tmp_pat
     robot = load_robot(package(tmp_path))
     assert robot.joint_names == ("shoulder", "elbow")
     assert robot.held == {"grip": 0.0, "follow": 0.0}
-    np.testing.assert_allclose(robot.joint_lower, [-2, -np.pi])
-    np.testing.assert_allclose(robot.joint_upper, [2.5, np.pi])
+    np.testing.assert_allclose(robot.joint_lower, [-2, -2 * np.pi])
+    np.testing.assert_allclose(robot.joint_upper, [2.5, 2 * np.pi])
     np.testing.assert_allclose(robot.velocity_limit, [1.5, 2])
     np.testing.assert_allclose(robot.torque_limit, [40, 30])
     assert robot.acceleration_limit is None
-    assert "half a turn either way: elbow" in caplog.text
+    assert "start and goal, which may be a turn away: elbow" in caplog.text
     assert [body.name for body in robot.bodies] == [
         "base",
         "upper",

@@ -102,14 +102,17 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
     ]
     for j, joint in ((joint.id, joint) for joint in spec.joints):
         if j in endless:
-            half = 180.0 if joint.compiler.degree else math.pi
-            joint.range, joint.limited = [-half, half], mujoco.mjtLimited.mjLIMITED_TRUE
+            turn = 360.0 if joint.compiler.degree else 2 * math.pi
+            joint.range, joint.limited = [-turn, turn], mujoco.mjtLimited.mjLIMITED_TRUE
             if home is not None:
                 index = choice.planned.index(j)
                 home[index] = math.remainder(home[index], 2 * math.pi)
     if endless:
         names = ", ".join(joint_name(model, j) for j in endless)
-        notes.append(f"joints without limits are planned within half a turn either way: {names}")
+        notes.append(
+            "ways are looked for within half a turn either way of joints without limits, and "
+            f"around start and goal, which may be a turn away: {names}"
+        )
     names = [joint_name(model, j) for j in endless_slides(model) if j in choice.held]
     if joints is None and (left := [name for name in names if name not in hold]):
         names = ", ".join(left)
