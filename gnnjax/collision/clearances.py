@@ -22,7 +22,8 @@ def clearances(
 
     Infinite where there is nothing, NaN where q is not finite. They are those of the spheres around
     the arm's parts; but where these do not tell whether the distance is more than `most`, the parts
-    are looked at. With `most=0` the distance is positive just where the arm is free.
+    are looked at. With `most=0` the distance is positive just where the arm is free, but for what
+    is free by less than a millimetre, of which a little counts as touching.
 
     Args:
         robot: the arm.
