@@ -315,8 +315,8 @@ def test_an_arm_that_a_family_does_not_fit_and_an_unknown_family_are_named(tiny_
 
     def none_found(key, robot, check, clear):
         nothing = jnp.zeros(robot.num_dof)
-        return Problem(nothing, nothing, sample_scene(key, clear))
+        return Problem(nothing, nothing, sample_scene(key, clear)), jnp.zeros(2, bool)
 
-    monkeypatch.setattr(labelled, "sample_problem", none_found)
+    monkeypatch.setattr(labelled, "draw_problem", none_found)
     with pytest.raises(InputError, match=r"no start and goal for 2 of 2 problems .* 'paper'"):
         generate_labelled(robot, 0)(problem_keys(0, "test", 0, 2))
