@@ -125,14 +125,14 @@ def test_the_radius_gives_the_mean_degree(num_nodes):
 
 
 def test_nodes_in_one_place_are_not_joined_and_lead_no_way_in_circles():
-    nodes = jnp.asarray([[0, 0], [1, 0], [0, 0], [0.5, 0.1], [0.5, 0.1 + 1e-6]], jnp.float32)
-    roadmap = connect(nodes, jnp.ones(5, bool), 0.8, 4)
+    nodes = np.float32([[0, 0], [1, 0], [0, 0], [0.5, 0.1], [0.5, 0.1 + 1e-6]])
+    roadmap = jitted_connect(nodes, np.ones(5, bool), 0.8, 4)
     found = set(zip(*np.nonzero(adjacency(roadmap, roadmap.neighbor_mask)), strict=True))
     apart = {(0, 3), (0, 4), (1, 3), (1, 4), (2, 3), (2, 4)}
     assert found == apart | {(b, a) for a, b in apart}
-    labels = label_roadmap(roadmap, roadmap.neighbor_mask)
+    labels = jax.jit(label_roadmap)(roadmap, roadmap.neighbor_mask)
     assert labels.next_node.tolist() in [[x, -1, y, 1, 1] for x in (3, 4) for y in (3, 4)]
-    same = connect(nodes[jnp.array([0, 2, 3])], jnp.ones(3, bool), 0.8, 3)  # start is goal
+    same = jitted_connect(nodes[[0, 2, 3, 4, 1]], np.ones(5, bool), 0.8, 4)  # start is goal
     assert (same.neighbors[0] == 1).any()
 
 
