@@ -60,6 +60,8 @@ def check_apart(written: Sequence[Path | None], read: Sequence[str | Path | None
         written: files of the command, None where it writes none.
         read: what it reads, which it must not replace, nor files that a JSON of these names.
     """
+    if not any(written):
+        return
     known = [Path(path) for path in read if path is not None]
     known += [file for path in known for file in _named_in(path)]
     taken = {path.resolve(): "read from" for path in known}

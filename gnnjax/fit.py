@@ -20,7 +20,7 @@ from rich.table import Table
 
 from gnnjax.arguments import parse_arguments
 from gnnjax.arm.covers import Rows, cover_file, save_cover
-from gnnjax.arm.mjcf import keep_inertias
+from gnnjax.arm.mjcf import add_geom, keep_inertias
 from gnnjax.arm.robot import Robot
 from gnnjax.arm_options import JointOptions, load_bare_arm
 from gnnjax.errors import InputError, needs_extra, run_command
@@ -101,7 +101,8 @@ def mjcf_of_spheres(robot: Robot) -> str:
         if name := geoms[g].name:
             spheres[name] = [f"{name}_sphere_{i}" for i in range(len(rows))]
         for i, row in enumerate(rows):
-            bodies[part.body + 1].add_geom(
+            add_geom(
+                bodies[part.body + 1],
                 name=spheres[name][i] if name else "",
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
                 pos=robot.sphere_centers[row],

@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 
 from gnnjax.arm.kinematics import forward_kinematics
 from gnnjax.arm.robot import Robot
+from gnnjax.collision.certify import configurations_of
 from gnnjax.errors import InputError
 from gnnjax.files import atomic_write, check_target
 from gnnjax.scene.allowed import last_link
@@ -42,12 +43,9 @@ def draw_plan(robot: Robot, scene: Scene, path: np.ndarray, out: str | Path) -> 
     """
     check_picture(out)
     check_single(scene)
-    path = np.asarray(path)
-    if path.ndim != 2 or not len(path) or path.shape[1] != robot.num_dof:
-        raise InputError(
-            f"the path has shape {path.shape}; {robot.name} needs [L, {robot.num_dof}], one "
-            "configuration or more"
-        )
+    path = configurations_of(robot, "the path", path)
+    if not len(path):
+        raise InputError("the path is empty, as that of a plan that failed; there is none to draw")
     figure = Figure(figsize=(9, 4.4), layout="constrained")
     shots = _along(path, 7)
     positions, rotations = (np.asarray(x) for x in forward_kinematics(robot, jnp.asarray(shots)))

@@ -75,7 +75,8 @@ def choose_joints(
     if joints is None:
         coupled = couplings.joints
         chosen = [j for j in range(model.njnt) if names[j] not in hold and j not in coupled]
-        chosen = [j for j in chosen if j not in endless_slides(model)] or chosen
+        endless = endless_slides(model)
+        chosen = [j for j in chosen if j not in endless] or chosen
         if model.njnt and not chosen:
             raise InputError(
                 f"all joints of {str(path)!r} are held or coupled to others; name those to plan "

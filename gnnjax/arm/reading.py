@@ -113,10 +113,10 @@ def read_arm(path: Path, joints: Sequence[str] | None, hold: Mapping[str, float]
             "ways are looked for within half a turn either way of joints without limits, and "
             f"around start and goal, which may be a turn away: {names}"
         )
-    names = [joint_name(model, j) for j in endless_slides(model) if j in choice.held]
-    if joints is None and (left := [name for name in names if name not in hold]):
-        names = ", ".join(left)
-        notes.append(f"slides without limits are held where they are: {names}")
+    still = [joint_name(model, j) for j in endless_slides(model) if j in choice.held]
+    still = [name for name in still if joints is None and name not in hold]
+    if still:
+        notes.append(f"slides without limits are held where they are: {', '.join(still)}")
     turning = [
         j
         for j in choice.planned

@@ -38,13 +38,8 @@ def in_all_turns(robot: Robot, q: ArrayLike) -> Float[np.ndarray, "G D"]:
             f"the configuration is {brief(q)}; {robot.name} needs {robot.num_dof} joint values "
             "within its limits"
         )
-    outside = ~((given >= lower) & (given <= upper))
-    if outside.any():
-        joint = int(outside.argmax())
-        raise InputError(
-            f"the configuration has {given[joint]:.4g} for joint {robot.joint_names[joint]}; it "
-            f"must lie between {lower[joint]:.4g} and {upper[joint]:.4g}"
-        )
+    if fault := limit_fault(robot, given):
+        raise InputError(f"the configuration {fault[1]}")
     values = []
     for value, low, high, turns in zip(
         given, lower, upper, robot.turns_more_than_once, strict=True
@@ -55,3 +50,18 @@ def in_all_turns(robot: Robot, q: ArrayLike) -> Float[np.ndarray, "G D"]:
         values.append(others[(others >= low) & (others <= high)])
     found = np.array(list(itertools.product(*values)), np.float32)
     return found[np.argsort(np.linalg.norm(found - given, axis=1), kind="stable")]
+
+
+def limit_fault(robot: Robot, q: np.ndarray) -> tuple[int, str] | None:
+    """The first joint that a configuration `[D]` has beyond its limits, or at no number, and what
+    is wrong with it, for a message; None where there is none."""
+    outside = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))  # so for NaN
+    if not outside.any():
+        return None
+    joint = int(outside.argmax())
+    low, high = robot.joint_lower[joint], robot.joint_upper[joint]
+    name = robot.joint_names[joint]
+    return (
+        joint,
+        f"has {q[joint]:.4g} for joint {name}; it must lie between {low:.4g} and {high:.4g}",
+    )

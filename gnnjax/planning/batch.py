@@ -6,8 +6,8 @@ import numpy as np
 from gnnjax.arm.robot import Robot
 from gnnjax.collision.sequences import Items, Outcome, SequenceTester
 from gnnjax.planning.progress import Limits, Progress
-from gnnjax.planning.query import nearest_things
 from gnnjax.problems.problem import Problem
+from gnnjax.scene.mujoco_world import nearest_things
 
 
 class Batch(Progress):

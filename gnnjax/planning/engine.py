@@ -62,7 +62,9 @@ class Run:
                 self._search()
                 cut_short(batch, np.flatnonzero(self.wanted))
         without = [i for i, path in enumerate(batch.paths) if path is None]
-        reasons = {i: self._reason(i) for i in without} | batch.narrow_ends(without)
+        reasons = {i: self._reason(i) for i in without}
+        if not batch.limits.is_hasty:  # whose reasons nobody reads
+            reasons |= batch.narrow_ends(without)
         return batch.plans([reasons.get(i, "") for i in range(len(every))])
 
     @property

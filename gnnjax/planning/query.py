@@ -12,20 +12,20 @@ from numpy.typing import ArrayLike
 from gnnjax.arm.meetings import remedy_of
 from gnnjax.arm.robot import Robot
 from gnnjax.arm.torques import rest_fault, rests
+from gnnjax.arm.turns import limit_fault
 from gnnjax.collision.certify import check_scene
 from gnnjax.collision.clearances import base_clear, clearances
 from gnnjax.collision.obstacles import obstacles_of, scene_faults
 from gnnjax.errors import InputError, as_typed, brief, one_line
 from gnnjax.problems.problem import Problem
 from gnnjax.scene.allowed import check_allowed
-from gnnjax.scene.mujoco_world import deepest_contact, depth_in_base
+from gnnjax.scene.mujoco_world import deepest_contact, depth_in_base, nearest_things
 from gnnjax.scene.scene import Scene, inflated, obstacle_name
 from gnnjax.scene.units import doubtful_units
 from gnnjax.trajectory.trajectory import Trajectory
 
 _LOG = logging.getLogger(__name__)
 
-_NEAR = 0.05  # m; no test takes what is farther apart for a contact
 # m; how far what the base stands on may reach into it.
 BASE_CONTACT = 0.005
 
@@ -217,16 +217,11 @@ def _end_reasons(
     outside = ~((q >= robot.joint_lower) & (q <= robot.joint_upper))
     too_weak = ~rests(robot, q)
     for i in np.flatnonzero(outside.any(axis=1) | ~(clearance > 0) | too_weak):
-        if outside[i].any():
-            joint = int(outside[i].argmax())
-            value = q[i, joint]
+        if fault := limit_fault(robot, q[i]):
+            joint, said = fault
             # Of hinges alone: nobody gives metres in degrees.
-            degrees = _is_hinge(robot, joint) and 2 * np.pi < abs(value) < np.inf
-            reasons[i] = (
-                f"{name} has {value:.4g} for joint {robot.joint_names[joint]}; it must lie between "
-                f"{robot.joint_lower[joint]:.4g} and {robot.joint_upper[joint]:.4g}"
-                + (" (radians; are these degrees?)" if degrees else "")
-            )
+            degrees = _is_hinge(robot, joint) and 2 * np.pi < abs(q[i, joint]) < np.inf
+            reasons[i] = f"{name} {said}" + (" (radians; are these degrees?)" if degrees else "")
             continue
         rounded = as_typed(np.round(q[i], 4))
         if clearance[i] > 0:
@@ -254,16 +249,6 @@ def _end_reasons(
                 "leaves them more room"
             )
     return reasons
-
-
-def nearest_things(robot: Robot, scene: Scene, q: np.ndarray) -> str | None:
-    """What is nearest to each other at a configuration `[D]` of one scene that is free by less than
-    tests can tell, for a message; None where nothing is near."""
-    near = deepest_contact(robot, scene, q, within=_NEAR)
-    return near and (
-        f"{near.first} and {near.second} are {1e3 * max(0.0, -near.depth):.2g} mm apart, too "
-        "little for a contact to be ruled out"
-    )
 
 
 def _is_hinge(robot: Robot, joint: int) -> bool:

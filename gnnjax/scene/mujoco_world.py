@@ -31,6 +31,9 @@ _GEOMS = for_every_kind(
 _ALL_BITS = -1
 
 
+_NEAR = 0.05  # m; no test takes what is farther apart for a contact
+
+
 class Obstacles(NamedTuple):
     """Where a world has its movable obstacles; they come last in it."""
 
@@ -220,6 +223,16 @@ def deepest_contact(
         return None
     return Contact(
         first, obstacle_name(scene, second) if isinstance(second, int) else second, depth
+    )
+
+
+def nearest_things(robot: Robot, scene: Scene, q: np.ndarray) -> str | None:
+    """What is nearest to each other at a configuration `[D]` of one scene that is free by less than
+    tests can tell, for a message; None where nothing is near."""
+    near = deepest_contact(robot, scene, q, within=_NEAR)
+    return near and (
+        f"{near.first} and {near.second} are {1e3 * max(0.0, -near.depth):.2g} mm apart, too "
+        "little for a contact to be ruled out"
     )
 
 
